@@ -20,8 +20,10 @@ from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 from recordings.read.reader import RunReader
-from recordings.read.series import plant_series_of
-from results.figures import Shown, run_figures, shown_in
+from recordings.read.series import RunSeries, plant_series_of
+from results.figures import FIGURES, Shown, run_figures, shown_in
+from results.headline import curve_lines
+from results.highlights import highlights
 from results.run_document import RunDocument, document_in
 from results.timing.stages import stage_table
 from scenarios.run_options import RunOptions
@@ -112,17 +114,20 @@ class Run:
 
     @property
     def plan(self) -> RunPlan:
-        """What the run was to do, as all its agents agreed on it."""
+        """What the run was to do, as all its agents agreed on it: `run.plan.timing.cycles`."""
         return self._reader.plan
 
     @property
     def scenario(self) -> str:
-        """The scenario's TOML text."""
+        """The scenario's TOML text: `tomllib.loads(run.scenario)`."""
         return self._reader.scenario
 
     @property
     def summary(self) -> RunDocument:
-        """What is in `summary.json`. Raises FileNotFoundError: The run has not ended."""
+        """What is in `summary.json`: `run.summary.highlights.hard_minutes`.
+
+        Raises FileNotFoundError: The run has not ended.
+        """
         if (found := document_in(self.folder, self.plan.run_id)) is None:
             raise FileNotFoundError(f"{self.folder}: expected the summary.json of this run")
         return found
@@ -136,6 +141,8 @@ class Run:
         end: When | None = None,
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
+
+        `for port, message in run.messages("impp", nodes="c2/*"): ...`
 
         signals, nodes: Which signals and which nodes; by default all.
         start, end: The first cycle, and the one before which to end: a local time (`13:49:00`), a
@@ -159,6 +166,8 @@ class Run:
     ) -> pd.DataFrame:
         """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
+        `run.frame("setpoint", nodes="c2/inv07", start="12:20", end="12:30")`
+
         It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
         `node` and the signal's own fields, with units in their names. The lists inside messages
         have tables too: `help_given`, `production_inverters`, `given_up_agents`, `missing_inputs`.
@@ -174,19 +183,28 @@ class Run:
         start: When | None = None,
         end: When | None = None,
     ) -> dict[str, pd.DataFrame]:
-        """Return several tables by name, each as `frame` does: the recording is read once."""
+        """Return several tables by name, each as `frame` does: the recording is read once.
+
+        `impp, setpoint = run.frames("impp", "setpoint").values()`
+        """
         found = self._reader.frames(*tables, nodes=nodes, start=start, end=end)
         self._reader.warn_of_damage()
         return found
 
     @cached_property
+    def _series(self) -> RunSeries:
+        series = plant_series_of(self._reader)
+        self._reader.warn_of_damage()
+        return series
+
+    @cached_property
     def plant(self) -> pd.DataFrame:
         """Dispatch, delivered, available power, baseline and shortfall of the plant [kW] by time.
 
-        `without_help_kw` is what the same sky would have given without help between inverters.
+        `run.plant["shortfall_kw"].idxmax()` is when most was missed. `without_help_kw` is what the
+        same sky would have given without help between inverters.
         """
-        series = plant_series_of(self._reader)
-        self._reader.warn_of_damage()
+        series = self._series
         columns = {
             "dispatch_kw": series.desired_kw,
             "delivered_kw": series.delivered_kw,
@@ -194,29 +212,28 @@ class Run:
             "without_help_kw": series.without_help_kw,
             "shortfall_kw": series.shortfall_kw,
         }
-        return pd.DataFrame(columns, series.times.rename("time"))
+        return _in_kw(pd.DataFrame(columns, series.times.rename("time")))
 
     @cached_property
     def metrics(self) -> pd.Series:
-        """Figures of merit by name, as docs/metrics.md defines them; NaN: not defined here."""
-        figures = run_figures(plant_series_of(self._reader))
-        self._reader.warn_of_damage()
-        return pd.Series(figures, name=self.plan.run_id, dtype=float)
+        """Figures of merit by name, see docs/metrics.md: `run.metrics["control-caused"]`.
+
+        NaN: not defined here. `attrs["units"]` has their units.
+        """
+        found = pd.Series(run_figures(self._series), name=self.plan.run_id, dtype=float)
+        found.attrs["units"] = {name: FIGURES[name].unit for name in found.index}
+        return found
 
     @cached_property
     def power(self) -> pd.DataFrame:
-        """Power of each inverter [kW]: a row for each cycle by local time, a column for each."""
+        """Power of each inverter [kW] by local time: `run.power["c2/inv07"].max()`."""
         series = plant_series_of(self._reader, most_inverters=None)
         self._reader.warn_of_damage()
-        return pd.DataFrame(series.power_kw, series.times.rename("time"), list(series.inverters))
+        table = pd.DataFrame(series.power_kw, series.times.rename("time"), list(series.inverters))
+        return _in_kw(table)
 
     def plot(self) -> go.Figure:
-        """Draw the report's figure with plotly: the plant's power, and how far it was off.
-
-        Examples
-        --------
-        >>> open_run("runs/oahu-20261121-120000-4711").plot().show()
-        """
+        """Draw the report's figure with plotly: `run.plot().show()`."""
         from results.report.run_report import power_figure  # noqa: PLC0415 - plotly is an extra
 
         return power_figure(self._reader)
@@ -224,7 +241,7 @@ class Run:
     def stages(self) -> pd.DataFrame:
         """Return the tidy table of a run in real time: a row for each stage in each cycle.
 
-        docs/timing.md describes its columns; every figure of `timing` is a groupby on it.
+        docs/timing.md describes its columns, and the groupby on it behind each figure of `timing`.
         """
         table = stage_table(self._reader)
         self._reader.warn_of_damage()
@@ -245,18 +262,25 @@ class Run:
         return f"<Run {self.plan.run_id}: {len(self.plant):,} cycles, {kept}, in {self.folder}>"
 
     def _repr_html_(self) -> str:
-        """Return the figures of merit for notebooks, below the name of the run."""
+        """Return the run for notebooks: its power as curves, and its figures of merit."""
         shown = {
             f"{one.title} [{one.unit}]": round(self.metrics[one.name], one.decimals)
             for one in shown_in(Shown.SUMMARY)
             if not isnan(self.metrics[one.name])
         }
         table = pd.Series(shown, name=self.plan.run_id, dtype=object).to_frame()
-        return f"{escape(repr(self))}{table.to_html(border=0)}"
+        curve = highlights(self._series).curve
+        drawn = escape("\n".join(curve_lines(curve, can_draw=True, width=100)))
+        return f"{escape(repr(self))}<pre>{drawn}</pre>{table.to_html(border=0)}"
 
     def __del__(self) -> None:
         if reader := getattr(self, "_reader", None):  # There is none if it could not be opened.
             reader.release()
+
+
+def _in_kw(table: pd.DataFrame) -> pd.DataFrame:
+    table.attrs["units"] = dict.fromkeys(table.columns, "kW")
+    return table
 
 
 def open_run(path: Path | str) -> Run:

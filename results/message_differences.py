@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
@@ -13,30 +12,12 @@ from numpy.typing import NDArray
 
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
-from bus_schemas.signals import (
-    COMMAND,
-    DISPATCH,
-    HELP,
-    IMPP,
-    METER,
-    OFFER,
-    PRODUCTION,
-    RESIDUAL,
-    RUN,
-    SETPOINT,
-    TELEMETRY,
-    Port,
-)
+from bus_schemas.signals import RUN, SIGNALS, Port
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries
 from recordings.verify.comparison import BIT_FOR_BIT, FieldDifference
 from results.report.style import clock_text
 from results.tables import Cell, Column, Number, Table, key_column, word_column
-
-_IN_ORDER: Final = (
-    *(DISPATCH, METER, TELEMETRY, IMPP, RESIDUAL, HELP, SETPOINT, COMMAND, OFFER, PRODUCTION),
-)
-"""Signals in the order in which they lead to each other within a cycle; others come after them."""
 
 _Digests = dict[Port[Message], NDArray[np.int64]]
 
@@ -97,17 +78,12 @@ def message_differences(
         )
         differ_in[name] = differ_in.get(name, np.zeros_like(differs)) | differs
     rows = [
-        (cycle, place, row)
-        for place, (name, (cycle, port)) in enumerate(sorted(first_of.items(), key=_order))
+        (cycle, SIGNALS.index(port.signal), row)
+        for name, (cycle, port) in first_of.items()
         for row in _rows(paths, series[0], port, cycle, int(differ_in[name].sum()))
     ]
     rows.sort(key=lambda row: row[:2])
     return MessageDifferences(_table(row for _, _, row in rows), messages, compared, is_whole)
-
-
-def _order(item: tuple[str, tuple[int, Port[Message]]]) -> int:
-    signal = item[1][1].signal
-    return _IN_ORDER.index(signal) if signal in _IN_ORDER else len(_IN_ORDER)
 
 
 def _digests(reader: RunReader, cycles: int) -> tuple[_Digests, dict[int, int]]:

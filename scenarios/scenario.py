@@ -373,6 +373,9 @@ class ScenarioFile(msgspec.Struct, frozen=True):
     data_folder: Path
     source: str = ""
 
+    def __repr__(self) -> str:
+        return f"<ScenarioFile {self.scenario.name}: {self.scenario.title}>"
+
     @property
     def needs_data(self) -> bool:
         """Whether it runs on measured data, which does not come with Heliarch."""

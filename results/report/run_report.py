@@ -26,7 +26,6 @@ from results.answers import answers, answers_tables, judged
 from results.figures import Figures, run_figures
 from results.headline import headline, percent
 from results.highlights import highlights
-from results.report.clusters import clusters_table
 from results.report.help import HelpBetween, help_table
 from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices, residuals
 from results.report.marks import Mark, mark, run_marks
@@ -64,7 +63,6 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
                 *figures_tables([series]),
                 *answers_tables(judged(answers(series), _budgets(reader))),
                 help_table(found, reader.clock),
-                clusters_table(series, plan, found),
                 health_table(overview, reader.clock, outcome),
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
@@ -132,8 +130,7 @@ def runs_result(
 
     marks: What happened in the run, marked in the figures over time.
     """
-    heads = map(_headline, series) if len(series) > 1 else ()
-    lines = [*heads, *lines, *_cycle_lines(series)]
+    lines = [*lines, *_cycle_lines(series)]
     return Result(title, tables, document, lines=lines, figures=partial(_figures, series, marks))
 
 
@@ -168,26 +165,6 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
     for name, note in notes.items():
         if (value := figures[name]) is not None:
             yield KeyFigure(percent(value), titles[name], note)
-
-
-def _headline(one: RunSeries) -> str:
-    """Say in a line how the promise was kept, at which price, and for how many cycles."""
-    if not one.known.any():
-        return f"{one.label}: no cycle is known."
-    found = run_figures(one)
-    parts = []
-    if found.get("satisfied") is not None:
-        parts.append(f"{found['satisfied']:.2f} % of the commitment satisfied")
-    parts.append(
-        f"shortfall {found['shortfall-energy']:,.1f} kWh, of it "
-        f"{found['unavoidable-energy']:,.1f} kWh unavoidable"
-    )
-    curtailed = f"{found['curtailed-energy']:,.1f} kWh curtailed"
-    if found.get("curtailed") is not None:
-        curtailed += f" ({found['curtailed']:.1f} % of the available energy)"
-    parts.append(curtailed)
-    covered = f"{found['cycles']:,.0f} of {found['planned-cycles']:,.0f} cycles"
-    return f"{one.label}: {'; '.join(parts)}; {covered} covered."
 
 
 def run_line(plan: RunPlan) -> str:

@@ -26,9 +26,6 @@ GREEN: Final = "#009e73"
 ORANGE: Final = "#e69f00"
 VERMILLION: Final = "#d55e00"
 
-SHORTFALL: Final = VERMILLION
-"""Power that the plant lacked. No scheme has this colour."""
-
 SCHEMES: Final = (BLUE, GREEN, "#cc79a7", ORANGE, "#56b4e9")
 _DASHES: Final = ("solid", "dash", "dot", "dashdot")
 

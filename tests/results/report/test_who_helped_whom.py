@@ -12,7 +12,6 @@ from bus_schemas.messages import Dispatch
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import series_of
-from results.report.clusters import clusters_table
 from results.report.help import HelpBetween, help_table
 from results.report.marks import run_marks
 from results.report.run_report import runs_result, write_run_report
@@ -58,15 +57,6 @@ def test_the_needy_are_ranked_with_their_helpers(run: Path) -> None:
     assert table.texts()[0][0] == "c1/a"
 
 
-def test_clusters_have_their_energies(run: Path) -> None:
-    with RunReader(run) as reader:
-        found = helped(reader)
-        table = clusters_table(series_of(reader), reader.plan, found)
-    names, inverters, *_ = zip(*table.rows, strict=True)
-    assert (names, inverters) == (("c1", "c2"), (2, 2))
-    assert table.rows[0][3] == pytest.approx((40.0 + 90.0) * HOURS)
-
-
 def test_faults_and_absences_are_marked_in_every_figure_over_time(run: Path) -> None:
     with RunReader(run) as reader:
         series = series_of(reader)
@@ -84,5 +74,5 @@ def test_a_report_of_a_recording_begins_with_what_was_kept_and_at_which_price(ru
     for words in ("of the promise missed", "left unused", 'id="power-plot"', "c1/a"):
         assert words in first
     assert first.count("<circle") == 4 * first.count("<svg") > 0
-    for words in ("90 of 1,000 cycles", "Who helped whom", "Clusters", "Health of the run"):
+    for words in ("90 of 1,000 cycles", "Who helped whom", "Health of the run"):
         assert words in rest
