@@ -35,7 +35,8 @@ def print_headline(summary: RunDocument, console: Console) -> None:
     if hard_minutes:
         lines.append(f"hardest at {minute_line(hard_minutes[0], start, summary.cycle_s)}")
     for line in lines:
-        console.print(printable(line), markup=False, highlight=False, soft_wrap=True)
+        wraps = not console.is_terminal  # In a terminal, between words.
+        console.print(printable(line), markup=False, highlight=False, soft_wrap=wraps)
 
 
 def headline(figures: Figures) -> str:

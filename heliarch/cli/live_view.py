@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from datetime import datetime
+from sys import maxsize
 from typing import IO, Final, Self
 from zoneinfo import ZoneInfo
 
@@ -72,17 +73,18 @@ class PlainView:
         if status.cycle < 0 or not self._line.is_due():
             return
         local = datetime.fromtimestamp(status.sim_time_ns / 1e9, self._zone)
-        text = (
-            f"{local:%H:%M:%S} {status.cycle + 1} of {self._cycles} cycles, "
-            f"dispatch {status.dispatch_kw:.0f} kW, delivered {status.delivered_kw:.0f} kW, "
-            f"available {status.available_kw:.0f} kW; help: "
-        )
         # A line that wraps cannot be renewed.
-        room = self._console.width - 1 if self._console.is_terminal else None
-        self._line.show((text + _needy(status.needy, room and room - len(text)))[:room])
+        room = self._console.width - 1 if self._console.is_terminal else maxsize
+        text = f"{local:%H:%M:%S} {status.cycle + 1} of {self._cycles} cycles"
+        powers_kw = status.dispatch_kw, status.delivered_kw, status.available_kw
+        for name, kw in zip(("dispatch", "delivered", "available"), powers_kw, strict=True):
+            part = f", {name} {kw:.0f} kW"
+            text += part if len(text + part) <= room else ""
+        help_text = f"; help: {_needy(status.needy, room - len(text + '; help: '))}"
+        self._line.show(text + help_text if len(text + help_text) <= room else text)
 
 
-def _needy(nodes: Sequence[str], room: int | None) -> str:
+def _needy(nodes: Sequence[str], room: int) -> str:
     """Name nodes that lack power, as many as there is room for.
 
     A cluster that lacks power contains inverters that do: the clusters come first.
@@ -90,5 +92,5 @@ def _needy(nodes: Sequence[str], room: int | None) -> str:
     ordered = sorted(nodes, key=lambda node: (node.count("/"), node))
     names = [node or "the whole plant" for node in ordered]
     texts = [listed(names, most) for most in range(min(len(names), _NAMED), 0, -1)]
-    fitting = (text for text in texts if room is None or len(text) <= room)
+    fitting = (text for text in texts if len(text) <= room)
     return next(fitting, f"{len(names)} nodes" if names else "none")
