@@ -70,20 +70,22 @@ def run_and_print(
             partial(output.say, f"recording: {folder.recording}"),
             write_page,
             partial(print_headline, summary, output.console),
-            partial(output.say, *_what_next(folder.path)),
+            partial(output.say, *_what_next(folder.path, files.report is not None)),
         )
         failures = [complain(failure, FAILED) for failure in summary.failures()]
         return max(failures) if failures else INTERRUPTED if summary.interrupted else OK
 
 
-def _what_next(run: Path) -> list[str]:
+def _what_next(run: Path, has_report: bool) -> list[str]:
     """Return the commands that a user wants after a run, as they can be typed."""
     if not run.is_dir():  # It has been removed.
         return []
     program = Path(sys.argv[0])
     is_found = shutil.which("heliarch") == str(program.absolute())
     name = "heliarch" if is_found or program.name != "heliarch" else str(program)
-    commands = {"view": "watch it again", "report": "what it was worth", "inspect": "what it holds"}
+    commands = {"view": "watch it again", "inspect": "what it holds"}
+    if not has_report:
+        commands["report"] = "what it was worth"
     name, folder = shlex.quote(name), shlex.quote(str(run))
     lines = [(f"{name} {command} {folder}", what) for command, what in commands.items()]
     width = max(len(line) for line, _ in lines)
