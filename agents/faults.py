@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 from typing import Literal, NamedTuple, TypeAlias
 
-import msgspec
-
 from bus_schemas.errors import InputError, listed
-from bus_schemas.faults import Interval, LinkFault, Second, interval_objections, link_objections
+from bus_schemas.faults import Interval, LinkFault, Rule, Second, link_objections
 from bus_schemas.tree import ControlTree, agent_name
 from bus_schemas.wiring import Wiring
 
 
-class _ProcessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
-    """A fault of processes, or of an inverter."""
-
-
-class Kill(_ProcessRule, frozen=True, tag="kill"):
+class Kill(Rule, frozen=True, tag="kill"):
     """Controllers are killed.
 
     agents: Their name or pattern: `c1`, `c2/*`.
@@ -29,7 +23,7 @@ class Kill(_ProcessRule, frozen=True, tag="kill"):
     at: Second
 
 
-class Freeze(_ProcessRule, frozen=True, tag="freeze"):
+class Freeze(Rule, frozen=True, tag="freeze"):
     """Controllers stand still.
 
     agents: Their name or pattern: `c1`, `c2/*`.
@@ -40,7 +34,7 @@ class Freeze(_ProcessRule, frozen=True, tag="freeze"):
     at: Interval
 
 
-class Trip(_ProcessRule, frozen=True, tag="trip"):
+class Trip(Rule, frozen=True, tag="trip"):
     """Inverters draw standby power instead of giving any. Controllers go on.
 
     agents: Their path or pattern: `c1/inv01`, `c2/*`.
@@ -101,23 +95,17 @@ def check_fault(
     external: Agents that Heliarch does not run: faults cannot act on their inputs.
     addresses: Agents on other hosts: their processes cannot be stopped from here.
     """
-    if isinstance(fault, ProcessFault):
-        objections = _process_objections(fault, tree, {*external, *addresses})
-    else:
-        objections = link_objections(fault, tree, external)
-    for objection in objections:
-        raise InputError.of(where, objection)
-
-
-def _process_objections(fault: ProcessFault, tree: ControlTree, away: set[str]) -> Iterator[str]:
-    if not isinstance(fault, Kill):
-        yield from interval_objections(fault.at)
-    stopped = _stopped(fault, tree)
+    if not isinstance(fault, ProcessFault):
+        for objection in link_objections(fault, tree, external):
+            raise InputError.of(where, objection)
+        return
+    away, stopped = {*external, *addresses}, _stopped(fault, tree)
     if isinstance(fault, Trip):
         stopped = [name for name in stopped if tree.is_leaf(name)]
     if not stopped or not away.isdisjoint(stopped):
         names = [name for name in map(agent_name, tree.nodes) if name not in away]
-        yield f"expected controllers of this host, such as {listed(names)}, got {fault.agents!r}"
+        expected = f"controllers of this host, such as {listed(names)}"
+        raise InputError.of(where, f"expected {expected}, got {fault.agents!r}")
 
 
 def _stopped(fault: ProcessFault, tree: ControlTree) -> list[str]:

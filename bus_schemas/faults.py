@@ -16,7 +16,7 @@ from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from bus_schemas.errors import listed
+from bus_schemas.errors import InputError, listed
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, listeners, ports
 from bus_schemas.tree import RECORDER, ControlTree
@@ -32,11 +32,17 @@ Second: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
 Interval: TypeAlias = tuple[Second, Second]
 
 
-class _LinkRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
-    """A fault of links."""
+class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """A fault. `at` says when it acts: a time, or beginning and end."""
+
+    def __post_init__(self) -> None:
+        at = getattr(self, "at", None)
+        if isinstance(at, tuple) and at[0] >= at[1]:
+            expected = f"an end after the beginning {at[0]:g} s"
+            raise InputError.of("at", f"expected {expected}, got {at[1]:g} s")
 
 
-class _OneWay(_LinkRule, frozen=True, kw_only=True):
+class _OneWay(Rule, frozen=True, kw_only=True):
     """A fault of links in one direction.
 
     source: Publishing agent: `plant`, `c2/inv07`, or a pattern such as `c1/*`.
@@ -71,6 +77,14 @@ class Disturbance(_OneWay, frozen=True, kw_only=True, tag="disturbance"):
     reorder_ms: Milliseconds | None = None
     at: Interval | None = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.reorder and not self.held_back_ms:
+            expected = "a delay or reorder-by (reorder_ms) above 0 with it"
+            raise InputError.of("reorder", f"expected {expected}, got none")
+        if not any((self.delay_ms, self.jitter_ms, self.loss, self.duplicate, self.reorder)):
+            raise InputError("expected a delay, loss, kill or other fault, got none")
+
     @property
     def held_back_ms(self) -> float:
         return self.delay_ms if self.reorder_ms is None else self.reorder_ms
@@ -85,7 +99,7 @@ class Blackout(_OneWay, frozen=True, kw_only=True, tag="blackout"):
     at: Interval
 
 
-class Partition(_LinkRule, frozen=True, tag="partition"):
+class Partition(Rule, frozen=True, tag="partition"):
     """Two agents do not hear each other.
 
     between: The agents, or patterns of them: `["c1", "central"]`.
@@ -98,10 +112,6 @@ class Partition(_LinkRule, frozen=True, tag="partition"):
 
 
 LinkFault: TypeAlias = Disturbance | Blackout | Partition
-
-
-def is_active(fault: LinkFault, time_s: float) -> bool:
-    return fault.at is None or fault.at[0] <= time_s < fault.at[1]
 
 
 def acts_on(fault: LinkFault, port: Port[Message], listener: str) -> bool:
@@ -133,10 +143,6 @@ def link_objections(
 
     external: Agents that Heliarch does not run: faults cannot act on their inputs.
     """
-    if isinstance(fault, Disturbance):
-        yield from _disturbance_objections(fault)
-    if fault.at is not None:
-        yield from interval_objections(fault.at)
     signal = fault.signal
     if isinstance(fault, Partition):
         patterns = [("between", pattern) for pattern in fault.between]
@@ -159,16 +165,3 @@ def link_objections(
         yield f"expected agents of which one hears the other, got {got}"
     if heard_by <= set(external):
         yield f"expected a listener that Heliarch runs, got only {', '.join(sorted(heard_by))}"
-
-
-def interval_objections(at: Interval) -> Iterator[str]:
-    begin_s, end_s = at
-    if begin_s >= end_s:
-        yield f"at: expected an end after the beginning {begin_s:g} s, got {end_s:g} s"
-
-
-def _disturbance_objections(fault: Disturbance) -> Iterator[str]:
-    if fault.reorder and not fault.held_back_ms:
-        yield "reorder: expected a delay or reorder-by (reorder_ms) above 0 with it, got none"
-    if not any((fault.delay_ms, fault.jitter_ms, fault.loss, fault.duplicate, fault.reorder)):
-        yield "expected a delay, loss, kill or other fault, got none"

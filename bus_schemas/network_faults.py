@@ -15,7 +15,7 @@ from typing import Final
 
 import msgspec
 
-from bus_schemas.faults import Disturbance, LinkFault, acts_on, is_active, links
+from bus_schemas.faults import Disturbance, LinkFault, acts_on, links
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import ControlTree
@@ -78,7 +78,8 @@ class NetworkFaults:
         time_s = cycle * self._cycle_s
         delays_ms = [0.0]
         for each in faults:
-            if is_active(each.fault, time_s):
+            at = each.fault.at
+            if at is None or at[0] <= time_s < at[1]:
                 passed_ms = each.pass_on(cycle, delays_ms)
                 if passed_ms != delays_ms:
                     each.act.add(cycle)

@@ -86,11 +86,11 @@ class ControlTree:
 
     @cached_property
     def _ratings_kw(self) -> dict[str, float]:
-        parts: dict[str, list[float]] = {}
-        for leaf, rating_kw in self.inverters:
-            for path in (leaf, *ancestors(leaf)):
-                parts.setdefault(path, []).append(rating_kw)
-        return {path: fsum(ratings_kw) for path, ratings_kw in parts.items()} | dict(self.storages)
+        of_parents = {
+            path: fsum(self.inverters[index][1] for index in below)
+            for path, below in self._leaves_below.items()
+        }
+        return of_parents | dict(self.storages)
 
     @cached_property
     def leaves(self) -> tuple[str, ...]:
