@@ -168,7 +168,7 @@ class OfferedCommitment(
     lead_s: How long before an interval begins its offer is made [s]. Default: 60 s, or the interval
         if that is shorter.
     reliability: Share of the intervals that are to be kept: at most 1 % of their energy is missing.
-    first_share: OfClearSky of the clear-sky power that is promised until the first offer.
+    first_share: Share of the clear-sky power that is promised until the first offer.
     """
 
     interval_s: Annotated[float, Meta(ge=1.0, le=14400.0)] = 900.0

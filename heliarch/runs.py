@@ -164,14 +164,12 @@ def verify(
     run: Recording,
     *,
     nodes: str | Sequence[str] = (),
-    start: str | None = None,
-    end: str | None = None,
     tolerance: float = 0.0,
 ) -> Verification:
     """Run the agents of a recording again and compare, as `heliarch verify` does: see `equal`."""
     if not tolerance >= 0.0:
         raise InputError.of("tolerance", f"expected 0 or more, got {tolerance}")
-    return verify_run(_path(run), nodes, Equality(tolerance), start=start, end=end)
+    return verify_run(_path(run), nodes, Equality(tolerance))
 
 
 @by_parameter

@@ -43,7 +43,7 @@ _SIGNAL_ORDERS: Final = 10
 """So many orders of one source are one AGC signal, if each comes within 15 s of the one before, or
 within the time, up to 60 s, in which its source promised to renew it."""
 
-_OF_STEPS: Final = ("reaction_s", "rise_s", "to_90_s", "settling_of_change_s", "damping")
+_OF_STEPS: Final = ("reaction_s", "rise_s", "settling_of_change_s", "damping")
 
 _REST_S: Final = 10.0
 """The error at rest is the mean over this time at the end, if the power had settled before it."""
@@ -74,7 +74,6 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     ramp_s: Time that the dispatch took to get there [s]; 0: it was a step.
     reaction_s, rise_s: Of a step: until the power had covered a tenth of it, and from there to nine
         tenths [s].
-    to_90_s: Of a step: until the power had covered nine tenths of it [s].
     settling_of_change_s: Of a step: until the power stayed within its band [s].
     damping: Of a step: damping ratio of the second-order system that overshoots as far; 1: none.
     settling_s: From when the dispatch was there until the power stayed within 1 % [s].
@@ -84,8 +83,8 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     ramp_deviation_percent: Mean deviation from the ramp, in % of the rating.
     signal: Of an AGC signal: its score.
     response_percent: Of an event of the grid's frequency (asked by `frequency`): the energy of the
-        response, in % of what the droop asks for; `to_90_s` is then until it came to nine tenths of
-        the largest response asked for. The figures of a step are those of a step of the frequency.
+        response, in % of what the droop asks for. The figures of a step are those of a step of the
+        frequency.
     unable_percent: Share of its cycles in which the sun gave less than the dispatch.
     missed: The figures that did not keep their budgets.
     """
@@ -99,7 +98,6 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float
     reaction_s: float | None = None
     rise_s: float | None = None
-    to_90_s: float | None = None
     settling_of_change_s: float | None = None
     damping: float | None = None
     settling_s: float | None = None
@@ -244,7 +242,6 @@ def _step_figures(
     return {
         "reaction_s": (int(began.argmax()) + 1) * cycle_s if has_begun else None,
         "rise_s": int(came.argmax() - began.argmax()) * cycle_s if has_come else None,
-        "to_90_s": (int(came.argmax()) + 1) * cycle_s if has_come else None,
         "settling_of_change_s": (settled + 1) * cycle_s if able[settled:].any() else None,
         "damping": _damping(ahead * error_kw[able], size_kw) if has_come else None,
     }
@@ -301,11 +298,14 @@ def answers_tables(found: Iterable[Answer]) -> list[Table]:
     """Return the table of a plant's answers; none where nothing was asked."""
     columns = (
         key_column("by", "asked"),
-        Column("cycle", name="cycle"),
+        Column("cycle", name="cycle", key=True),
         Column("from", "kW", 0, name="from_kw"),
         Column("to", "kW", 0, name="to_kw"),
         Column("ramp", "s", 1, name="ramp_s"),
-        Column("90 %", "s", 1, name="to_90_s"),
+        Column("reaction", "s", 1, name="reaction_s"),
+        Column("rise", "s", 1, name="rise_s"),
+        Column("into band", "s", 1, name="settling_of_change_s"),
+        Column("damping", "", 2, name="damping"),
         Column("settled", "s", 1, name="settling_s"),
         Column("overshoot", "%", 2, name="overshoot_percent"),
         Column("at rest", "%", 2, name="error_percent"),
@@ -314,29 +314,16 @@ def answers_tables(found: Iterable[Answer]) -> list[Table]:
         Column("response", "%", 1, name="response_percent"),
         Column("budgets", name="verdict"),
     )
-    found = tuple(found)
     rows = attributes(found, columns)
-    of_steps = (
-        *(key_column("by", "asked"), Column("cycle", name="cycle")),
-        *(Column("reaction", "s", 1, name="reaction_s"), Column("rise", "s", 1, name="rise_s")),
-        Column("settled", "s", 1, name="settling_of_change_s"),
-        Column("damping", "", 2, name="damping"),
-    )
-    steps = attributes((one for one in found if one.reaction_s is not None), of_steps)
-    notes_on_steps = (
-        "Reaction: to 10 % of the step. Rise: from there to 90 %. Settled: from the step until the "
-        f"power stayed within {BAND_PERCENT} % of it, or {LEAST_BAND_PERCENT} % of the rating.",
-    )
     notes = (
-        "90 %: of a step. Settled: from when the dispatch was there until the power stayed within "
-        "1 % of the rating. Percentages are of the rating.",
+        "Reaction: to 10 % of a step. Rise: from there to 90 %. Into band: from the step until the "
+        f"power stayed within {BAND_PERCENT} % of it, or {LEAST_BAND_PERCENT} % of the rating.",
+        "Settled: from when the dispatch was there until the power stayed within 1 % of the "
+        "rating. Percentages are of the rating.",
         "Response: to the frequency, its energy in % of what the droop asks for.",
         "Cycles in which the sun gave less than the dispatch do not count.",
     )
-    tables = [Table("How the plant answered", columns, rows, notes)] if rows else []
-    if steps:
-        tables.append(Table("Steps", of_steps, steps, notes_on_steps))
-    return tables
+    return [Table("How the plant answered", columns, rows, notes)] if rows else []
 
 
 def _groups(series: RunSeries, rating_kw: float) -> Iterator[list[_Asked]]:
@@ -423,8 +410,6 @@ def _to_frequency(series: RunSeries) -> Iterator[Answer]:
         covered_kw = given_kw[cycles]
         parts = covered_kw[held], (covered_kw - asked_kw)[held], most_kw, judged[held]
         step = {} if farthest else _step_figures(*parts, rating_kw, series.cycle_s)
-        covered = np.sign(most_kw) * covered_kw >= 0.9 * abs(most_kw)
-        to_90_s = (int(covered.argmax()) + 1) * series.cycle_s if covered.any() else None
         asked, given = float(asked_kw[judged].sum()), float(given_kw[cycles][judged].sum())
         found = Answer(
             asked="frequency",
@@ -437,4 +422,4 @@ def _to_frequency(series: RunSeries) -> Iterator[Answer]:
             response_percent=100.0 * given / asked if asked else None,
             unable_percent=100.0 * float((~judged).mean()),
         )
-        yield msgspec.structs.replace(found, **step | {"to_90_s": to_90_s})
+        yield msgspec.structs.replace(found, **step)

@@ -283,7 +283,6 @@ class AnswerBudgets(_Table, frozen=True):
 
     reaction_s: Of a step: time until a tenth of it is covered [s].
     rise_s: Of a step: time from a tenth to nine tenths [s].
-    to_90_s: Of a step: time until nine tenths of it are covered [s].
     settling_of_change_s: Of a step: time until the power stays within 2.5 % of it, or 0.5 % of the
         rating if that is more [s].
     damping: Least damping ratio of a step, from its overshoot, 0 to 1.
@@ -297,7 +296,6 @@ class AnswerBudgets(_Table, frozen=True):
 
     reaction_s: Limit | None = None
     rise_s: Limit | None = None
-    to_90_s: Limit | None = None
     settling_of_change_s: Limit | None = None
     damping: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     settling_s: Limit | None = None

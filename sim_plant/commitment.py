@@ -39,7 +39,7 @@ class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
     This is hindsight: the median is known only after the run. It serves to compare control
     schemes at a like difficulty on different days.
 
-    share: OfClearSky of the median.
+    share: Share of the median.
     """
 
     share: OfClearSky
@@ -48,7 +48,7 @@ class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
 class ShareOfClearSky(_Rule, frozen=True, tag="share-of-clear-sky"):
     """A share of the power that the plant would have under a clear sky, known in advance.
 
-    share: OfClearSky of the clear-sky power.
+    share: Share of the clear-sky power.
     """
 
     share: OfClearSky
@@ -64,7 +64,7 @@ class BelowAvailable(_Rule, frozen=True, tag="below-available"):
     no rule for it: rule and parameters are ours. Under a passing cloud the available power may be
     less than the commitment. This is hindsight: a centred mean knows what the clouds will do.
 
-    share: OfClearSky of the mean available power around each moment.
+    share: Share of the mean available power around each moment.
     window_s: Length of the window of that mean [s].
     """
 

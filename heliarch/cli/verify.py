@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.junit import Case, check_junit, write_junit
-from heliarch.cli.options import End, Json, Junit, Nodes, Run, Start, Tolerance
+from heliarch.cli.options import Json, Junit, Nodes, Run, Tolerance
 from heliarch.cli.output import Output, progress_bar
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ def verify(
     /,
     *more: Annotated[Path, Parameter(help="More runs.")],
     nodes: Nodes = None,
-    start: Start = None,
-    end: End = None,
     tolerance: Tolerance = 0.0,
     json: Json = None,
     junit: Junit = None,
@@ -36,7 +34,6 @@ def verify(
     Exit status 1: outputs differ, or not all of them could be compared. The first difference of
     each agent is shown with its inputs, and the verdict says what share was compared. The same code
     runs again: this proves repetition, not that decisions are right.
-    Agents run from cycle 0 on; --from and --to say which cycles are compared.
 
     Example: `heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'`
     """
@@ -51,7 +48,7 @@ def verify(
     for path in (run, *more):
         began_at = time.monotonic()
         with progress_bar("verify") as follow:
-            found = verify_run(path, nodes or "", equality, start=start, end=end, progress=follow)
+            found = verify_run(path, nodes or "", equality, progress=follow)
         wall_s = time.monotonic() - began_at
         output.say(str(found.recording), *verification_lines(found, equality, wall_s))
         results.append(found)

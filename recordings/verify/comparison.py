@@ -129,7 +129,7 @@ class Gap:
 
 @dataclass(slots=True)
 class AgentResult:
-    """The result of running one agent again, from `from_cycle` to its failure, if it fails.
+    """The result of running one agent again, up to its failure, if it fails.
 
     It counts messages in the recording, pairs that were compared, and differences by kind.
     """
@@ -142,7 +142,6 @@ class AgentResult:
     failure: Difference | None = None
     not_compared: int = 0
     gaps: list[Gap] = field(default_factory=list)
-    from_cycle: int = 0
 
     def compare(
         self,
@@ -156,7 +155,7 @@ class AgentResult:
     ) -> None:
         """Compare a recorded message with the new one. `refused` is why no listener accepts it."""
         message = recorded or new
-        if message is None or message.cycle < self.from_cycle:
+        if message is None:
             return
         fields: tuple[FieldDifference, ...] = ()
         kind = "only new" if recorded is None else "only recorded"

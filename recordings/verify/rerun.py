@@ -93,7 +93,7 @@ class CycleUnderWay:
 
 
 class AgentRerun:
-    """Takes one agent, made from the present code, through a recording, from `from_cycle` on."""
+    """Takes one agent, made from the present code, through a recording."""
 
     def __init__(
         self,
@@ -102,9 +102,8 @@ class AgentRerun:
         plan: RunPlan,
         recorded: RecordedCycles,
         equality: Equality,
-        from_cycle: int,
     ) -> None:
-        self.result = AgentResult(from_cycle=from_cycle)
+        self.result = AgentResult()
         self._name = name
         self._make = make
         self._plan = plan
@@ -136,9 +135,8 @@ class AgentRerun:
                 text = f"{type(error).__name__}: {error}"
                 used = {str(port): message for port, message in now.used.items()}
                 self.result.add(Difference("fails", cycle, now.stage, inputs=used, text=text))
-        if cycle >= self.result.from_cycle:
-            left = (messages for one in outputs.values() for messages in one.values())
-            self.result.not_compared += sum(map(len, left))
+        left = (messages for one in outputs.values() for messages in one.values())
+        self.result.not_compared += sum(map(len, left))
 
     def _outputs(self, cycle: int) -> dict[int, Outputs]:
         """Return what each process of the agent published in a cycle.
@@ -146,13 +144,12 @@ class AgentRerun:
         If none published anything, the newest one is there.
         """
         outputs: dict[int, Outputs] = {}
-        is_compared = cycle >= self.result.from_cycle
         for port, stage in self._stage_of.items():
             for message in self._recorded.on(port, cycle):
-                self.result.recorded += is_compared
+                self.result.recorded += 1
                 messages = outputs.setdefault(message.incarnation, {}).setdefault(stage, {})
                 first = messages.setdefault(port, message)
-                if first is message or not is_compared:
+                if first is message:
                     continue
                 # A process killed in its first cycle has a successor of the same incarnation.
                 if 0 < cycle == message.incarnation and first == message:
@@ -179,7 +176,7 @@ class AgentRerun:
 
     def _lose(self, process: Process, cycle: int, why: str) -> None:
         """Note that a process used or sent a message that is not known."""
-        gap = Gap(max(cycle, self.result.from_cycle), None, why)
+        gap = Gap(cycle, None, why)
         if process.agent.initial_state() is None:
             gap.until = cycle + 1  # It remembers nothing.
         else:

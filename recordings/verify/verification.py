@@ -35,7 +35,7 @@ class Verification:
 
     `stop_cycle` is the first cycle that did not take place; None if the run broke off. In
     `unrecorded_cycles` the recorder was away; None if it always was there. `asked` counts the
-    recorded messages of the agents and cycles that are to be compared. `agents` are the results
+    recorded messages of the agents that are to be compared. `agents` are the results
     of the agents that were run again, `left_out` the others and why. `same_code` says whether the
     recording was made by the code at hand; None if it does not say.
     """
@@ -89,8 +89,6 @@ def verify(
     nodes: str | Sequence[str] = (),
     equality: Equality = BIT_FOR_BIT,
     *,
-    start: str | None = None,
-    end: str | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Verification:
     """Run agents again on the inputs of a recording and compare what they publish.
@@ -98,33 +96,27 @@ def verify(
     By default all but external parents and plants are run again, see `find_agents`; a node that is
     named is run again in any case. Its result is `verify(run, node).agents[node]`.
 
-    Agents remember earlier cycles, so they always run from cycle 0 on; only the cycles from `start`
-    to `end` are compared. `progress` is called with the share of the recording that has been read.
+    `progress` is called with the share of the recording that has been read.
     """
     with RunReader(run) as reader:
         reader.follow = progress
         plan, stop_cycle = reader.plan, reader.stop_cycle
         code = reader.metadata.get("run", {}).get("code")
-        wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
         absences = list(unrecorded_spans(reader))
         recorded = RecordedCycles(reader.messages(), plan, stop_cycle, absences)
         reruns = {
-            name: AgentRerun(name, make, plan, recorded, equality, wanted.start)
-            for name, make in team.items()
+            name: AgentRerun(name, make, plan, recorded, equality) for name, make in team.items()
         }
         cycles = unrecorded = left_out_messages = 0
         for cycle, messages in recorded:
-            if cycle >= wanted.stop:
-                break
             for rerun in reruns.values():
                 rerun.take(cycle)
-            if cycle >= wanted.start:
-                cycles += bool(messages)
-                of = (len(found) for port, found in messages.items() if port.publisher in left_out)
-                left_out_messages += sum(of)
-                has_production = PRODUCTION.of(ROOT) in messages
-                unrecorded += not has_production and recorded.was_away(PLANT, cycle)
+            cycles += bool(messages)
+            of = (len(found) for port, found in messages.items() if port.publisher in left_out)
+            left_out_messages += sum(of)
+            has_production = PRODUCTION.of(ROOT) in messages
+            unrecorded += not has_production and recorded.was_away(PLANT, cycle)
     results = {name: rerun.result for name, rerun in reruns.items()}
     verification = Verification(
         reader.path,

@@ -25,8 +25,8 @@ from results.run_document import RunDocument
 from scenarios.preparation import Preparation
 from sim_plant.profile import Profile
 from studies.conformance.device import Device
-from studies.conformance.judge import DeviceRun, WrongAnswer, judge
-from studies.conformance.requirements import Findings
+from studies.conformance.judge import DeviceRun, judge
+from studies.conformance.requirements import Failure, Findings
 from studies.conformance.situations import AWAY, Script, in_lockstep, in_real_time, restart
 
 CYCLES: Final = 60
@@ -149,42 +149,46 @@ class Conformance:
         failure = "" if isinstance(ended, RunDocument) else str(ended).splitlines()[0]
         if not recorded.cycles:
             of = "token" if "no sign of" in failure else "arming"
-            self.findings.fail(of, failure)
+            self.findings.fail(Failure(of, failure))
             raise FailureError(failure)
         shown = [*script.shows[: recorded.cycles], "stop"]
         for requirement in {"arming", "head", "bounds", "links", *shown} - {AWAY}:
             self.findings.note(requirement, "PASS")
         found = judge(recorded, self.equality, away.stop if away else None)
         last = recorded.cycles - 1
-        if failure and all(one.cycle < last for one in found):
-            found.append(WrongAnswer(last, "links", ("", "failure"), f"cycle {last}: {failure}"))
-        for finding in found:
-            shows = shown[min(finding.cycle, recorded.cycles)]
-            if shows != AWAY:
-                self._note(finding, finding.requirement or shows, recorded, folder.path.name)
+        if failure and all((one.cycle or 0) < last for one in found):
+            found.append(Failure("links", f"cycle {last}: {failure}", last))
+        for one in found:
+            if (shows := shown[min(one.cycle or 0, recorded.cycles)]) != AWAY:
+                there = one._replace(
+                    requirement=one.requirement or shows,
+                    trial=folder.path.name,
+                    inputs=recorded.inputs_of(one.cycle or 0),
+                )
+                self._note(there, recorded.slow_cycle, is_any=not one.requirement)
         for wrong in ended.wrong if isinstance(ended, RunDocument) else ():
             if wrong.cause in (UNDECODABLE, UNKNOWN, WRONG_SENDER):
                 of = "bounds" if wrong.cause == UNDECODABLE else "decisions"
-                self.findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
+                text = f"{wrong.key}: {wrong.cause}, {wrong.example}"
+                self.findings.fail(Failure(of, text, message=wrong.key))
 
-    def _note(
-        self, finding: WrongAnswer, requirement: str, recorded: DeviceRun, trial: str
-    ) -> None:
-        """Note a finding, unless our own messages were too late, or it is one of old."""
-        slow_cycle = recorded.slow_cycle
-        if slow_cycle is not None and finding.cycle >= slow_cycle:
+    def _note(self, failure: Failure, slow_cycle: int | None, *, is_any: bool) -> None:
+        """Note a failure, unless our own messages were too late, or it is one of old.
+
+        is_any: Whether it fails what its cycle shows, and no requirement of its own.
+        """
+        requirement, cycle = failure.requirement, failure.cycle or 0
+        if slow_cycle is not None and cycle >= slow_cycle:
             text = f"the machine was too slow to judge from cycle {slow_cycle} on: lower --pace"
             self.findings.note(requirement, "too slow", text)
             return
         if requirement == "decisions":
-            self._known.add(finding.what)
-        elif not finding.requirement and finding.what in self._known:
+            self._known.add(failure.what)
+        elif is_any and failure.what in self._known:
             # One defect shall not fail all that comes after it.
             self.findings.note(requirement, "not judged", "answers differ as under `decisions`")
             return
-        cycle = finding.cycle
-        inputs = recorded.inputs_of(cycle)
-        self.findings.fail(requirement, finding.text, trial, cycle, finding.key, inputs)
+        self.findings.fail(failure)
 
 
 def _of_cycles(profile: Profile, cycles: int) -> Profile:

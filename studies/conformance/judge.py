@@ -28,28 +28,13 @@ from bus_schemas.signals import Port
 from recordings.read.reader import RunReader
 from recordings.record.plausibility import out_of_range
 from recordings.verify.comparison import Equality
+from studies.conformance.requirements import Failure
 
 _OF_THE_HEAD: Final = ("source", "sim_time_ns", "incarnation")
 _CLOCKS_DIFFER_NS: Final = 50_000_000
 _OLDEST_NS: Final = 10_000_000_000
 _ON_ITS_WAY_NS: Final = 150_000_000
 """A message that was heard longer after its publish time was held up by its sender."""
-
-
-class WrongAnswer(NamedTuple):
-    """What is wrong in a cycle.
-
-    requirement: What it fails; empty: what the cycle shows.
-    what: Signal, and field or kind of the difference. A late answer names no signal: one late stage
-        makes all later stages of its cycle late.
-    key: Of the message; empty: no single one is wrong.
-    """
-
-    cycle: int
-    requirement: str
-    what: tuple[str, str]
-    text: str
-    key: str = ""
 
 
 class Answer(NamedTuple):
@@ -171,16 +156,14 @@ class _Ours:
         return ()
 
 
-def judge(
-    recorded: DeviceRun, equality: Equality, rejoins_in: int | None = None
-) -> list[WrongAnswer]:
+def judge(recorded: DeviceRun, equality: Equality, rejoins_in: int | None = None) -> list[Failure]:
     """Return what is wrong with the answers of a device; in `rejoins_in` a new process joins."""
-    found: list[WrongAnswer] = []
+    found: list[Failure] = []
     ours, not_judged = _Ours(recorded, 0).sent, range(0)
     if rejoins_in is not None:
         joined = min((cycle for _, cycle in recorded.answers if cycle >= rejoins_in), default=None)
         if joined is None:
-            found.append(WrongAnswer(rejoins_in, "restart", ("", ""), "no answer of a new process"))
+            found.append(Failure("restart", "no answer of a new process", rejoins_in))
             joined = recorded.cycles
         # It may have joined before all its links were open.
         not_judged = range(rejoins_in, joined + 2 * (joined > rejoins_in))
@@ -194,14 +177,14 @@ def judge(
             if number != (due := sequences.get(process, 0)):
                 text = f"{where}, sequence: expected {due}, got {number}"
                 of_head = port.signal.name, "sequence"
-                found.append(WrongAnswer(cycle, "head", of_head, text, str(port)))
+                found.append(Failure("head", text, cycle, str(port), of_head))
             sequences[process] = number + 1
         if port.signal.is_cyclic and cycle not in not_judged:
             mine = ours.get((port, cycle))
             for of, what, why in _wrong(recorded, equality, port, cycle, mine, answers):
                 signal = "" if what == "late" else port.signal.name
                 text = f"{where}, {why}"
-                found.append(WrongAnswer(cycle, of, (signal, what), text, str(port)))
+                found.append(Failure(of, text, cycle, str(port), (signal, what)))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from results.tables import Table, key_column, word_column
@@ -30,14 +31,22 @@ _RESULTS: Final = ("not tried", "PASS", "not judged", "too slow", "FAIL")
 
 
 class Failure(NamedTuple):
-    """One failure: in which trial and cycle, the key of the message, and what it was sent then."""
+    """What is wrong in a cycle.
+
+    requirement: What it fails; empty: what the cycle shows.
+    what: Signal, and field or kind of the difference. A late answer names no signal: one late stage
+        makes all later stages of its cycle late.
+    message: Its key; empty: no single one is wrong.
+    trial, inputs: In which launch, and what the device was sent in the cycle.
+    """
 
     requirement: str
-    trial: str
-    cycle: int | None
-    message: str
     text: str
-    inputs: dict[str, list[dict[str, Any]]]
+    cycle: int | None = None
+    message: str = ""
+    what: tuple[str, str] = ("", "")
+    trial: str = ""
+    inputs: Mapping[str, list[dict[str, Any]]] = {}
 
 
 class Findings:
@@ -55,17 +64,9 @@ class Findings:
         if _RESULTS.index(result) > _RESULTS.index(before):
             self._found[requirement] = result, text or its_text
 
-    def fail(
-        self,
-        requirement: str,
-        text: str,
-        trial: str = "",
-        cycle: int | None = None,
-        message: str = "",
-        inputs: dict[str, list[dict[str, Any]]] | None = None,
-    ) -> None:
-        self.failures.append(Failure(requirement, trial, cycle, message, text, inputs or {}))
-        self.note(requirement, "FAIL", text)
+    def fail(self, failure: Failure) -> None:
+        self.failures.append(failure)
+        self.note(failure.requirement, "FAIL", failure.text)
 
     @property
     def passed(self) -> bool:
@@ -77,13 +78,9 @@ class Findings:
             word_column("result"),
             word_column("what a device must do, or the first failure", "text"),
         )
-        counts = Counter(failure.requirement for failure in self.failures)
+        more = Counter(failure.requirement for failure in self.failures)
         rows = [
-            (
-                name,
-                result,
-                text + (f" (and {more:,} more)" if (more := counts[name] - 1) > 0 else ""),
-            )
+            (name, result, f"{text} (and {more[name] - 1:,} more)" if more[name] > 1 else text)
             for name, (result, text) in self._found.items()
         ]
         return Table(f"Conformance of {agent}", columns, rows)

@@ -104,7 +104,7 @@ def test_tables_read_together_or_in_parts_are_those_that_are_read_alone(run: hel
 def test_a_recording_is_verified_and_a_part_of_it_exported(
     run: heliarch.Run, tmp_path: Path
 ) -> None:
-    found = heliarch.verify(run, nodes="c1", end="10s")
+    found = heliarch.verify(run, nodes="c1")
     assert found.equal
     assert list(found.agents) == ["c1"]
     part = heliarch.export(run.folder, "csv", out=tmp_path / "part", signals="impp", end=3)

@@ -30,7 +30,7 @@ def answered(
 def test_a_step_has_its_times_its_overshoot_and_its_error_at_rest() -> None:
     # 400 kW up: nine tenths are at 460 kW. 1 % of the rating are 10 kW.
     found = answered([500.0] * 10, [200, 470, 530, 515, 505, 505, 505, 505, 505, 505])
-    assert (found.ramp_s, found.to_90_s, found.settling_s) == (0.0, 4.0, 10.0)
+    assert (found.ramp_s, found.settling_s) == (0.0, 10.0)
     assert found.overshoot_percent == pytest.approx(3.0)
     assert found.error_percent == pytest.approx(0.5)
     assert found.ramp_deviation_percent is None
@@ -49,7 +49,7 @@ def test_an_answer_that_is_cut_short_at_the_end_of_its_ramp_has_no_error_at_rest
 def test_a_step_has_reaction_rise_settling_and_damping() -> None:
     # 400 kW up: a tenth is at 140 kW, nine tenths at 460 kW; the band is 2.5 % of it, 10 kW.
     found = answered([500.0] * 8, [130.0, 145.0, 300.0, 470.0, 511.0, 491.0, 500.0, 500.0])
-    assert (found.reaction_s, found.rise_s, found.to_90_s) == (4.0, 4.0, 8.0)
+    assert (found.reaction_s, found.rise_s) == (4.0, 4.0)
     assert found.settling_of_change_s == 12.0
     # 11 of 400 kW beyond it: exp(-pi z / sqrt(1 - z^2)) = 0.0275 for z = 0.7529.
     assert found.damping == pytest.approx(0.7529, abs=1e-4)
@@ -64,7 +64,7 @@ def test_a_step_of_the_frequency_is_answered_like_a_step_of_power() -> None:
     asked_kw = np.full(30, 300.0) + response
     (found,) = answers(replace(run, response_kw=response, desired_kw=asked_kw))
     assert (found.asked, found.ramp_s, found.duration_s) == ("frequency", 0.0, 10.0)
-    assert (found.reaction_s, found.rise_s, found.to_90_s) == (1.0, 2.0, 3.0)
+    assert (found.reaction_s, found.rise_s) == (1.0, 2.0)
     assert found.settling_of_change_s == 3.0, "half a per cent of the rating are 5 kW"
     # 4 % beyond it: exp(-pi z / sqrt(1 - z^2)) = 0.04 for z = 0.7156.
     assert found.damping == pytest.approx(0.7156, abs=1e-4)
@@ -75,7 +75,7 @@ def test_a_step_of_the_frequency_is_answered_like_a_step_of_power() -> None:
 
 def test_a_ramp_is_judged_by_its_deviation_and_settles_after_its_end() -> None:
     found = answered([200.0, 300.0, 400.0, 400.0, 400.0], [180.0, 280.0, 370.0, 402.0, 400.0])
-    assert (found.ramp_s, found.to_90_s, found.settling_s) == (4.0, None, 4.0)
+    assert (found.ramp_s, found.rise_s, found.settling_s) == (4.0, None, 4.0)
     assert found.ramp_deviation_percent == pytest.approx(2.0)
 
 
@@ -185,7 +185,7 @@ def test_budgets_name_what_each_answer_missed() -> None:
     slow = answered([500.0] * 10, [200, 470, 530, 515, 505, 505, 505, 505, 505, 505])
     never = answered([500.0] * 10, [300.0] * 10)
     sunless = answered([500.0] * 10, [300.0] * 10, available_kw=300.0)
-    limits = AnswerBudgets(to_90_s=4.0, settling_s=9.0, overshoot_percent=2.0, error_percent=0.5)
+    limits = AnswerBudgets(rise_s=4.0, settling_s=9.0, overshoot_percent=2.0, error_percent=0.5)
     found = judged((slow, never, sunless), limits)
     assert [one.missed for one in found] == [
         ("settling_s", "overshoot_percent"),

@@ -69,23 +69,12 @@ def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed:
         assert text in result.stdout
 
 
-@pytest.mark.parametrize(
-    ("words", "cycles"),
-    [
-        ("--nodes c1/*,c2", range(8)),
-        ("--nodes c2/d --tolerance 1", range(8)),
-        ("--nodes c2/d --from 4", range(4, 8)),
-        ("--nodes c2/d --to 2s", range(2)),
-    ],
-)
-def test_allowed_and_unselected_differences_do_not_count(
-    words: str, cycles: range, changed: Path
-) -> None:
+@pytest.mark.parametrize("words", ["--nodes c1/*,c2", "--nodes c2/d --tolerance 1"])
+def test_allowed_and_unselected_differences_do_not_count(words: str, changed: Path) -> None:
     found, outcome = outcome_of(changed, *words.split())
-    assert (found, outcome["cycles"]) == (0, len(cycles))
+    assert (found, outcome["cycles"]) == (0, 8)
     asked_for = {agent["agent"] for agent in outcome["agents"]}
-    messages = [m for port, m in PUBLISHED if port.publisher in asked_for and m.cycle in cycles]
-    assert outcome["compared"] == len(messages)
+    assert outcome["compared"] == sum(port.publisher in asked_for for port, _ in PUBLISHED)
 
 
 def test_equal_is_said_of_a_run_of_which_all_was_compared_and_of_no_other(run: Path) -> None:
