@@ -224,14 +224,19 @@ class RunReader:
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
-        port_of = self._channels_of(ports)
+        of_channel = {
+            channel: (port, port.signal.decode)
+            for channel, port in self._channels_of(ports).items()
+        }
         for chunk in self._chunks_of(cycles):
-            for channel, sequence, _, _, payload in self.messages_of(chunk, port_of):
-                port = port_of[channel]
-                message = self._decoded(port, sequence, payload)
-                if message is not None and (
-                    cycles is None or cycles.start <= message.cycle < cycles.stop
-                ):
+            for channel, sequence, _, _, payload in self.messages_of(chunk, of_channel):
+                port, decode = of_channel[channel]
+                try:
+                    message = decode(payload)
+                except UNREADABLE as error:
+                    self.wrong.setdefault(port, _wrong(port, sequence, error))
+                    continue
+                if cycles is None or cycles.start <= message.cycle < cycles.stop:
                     yield port, message
 
     def records(

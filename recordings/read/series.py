@@ -7,9 +7,11 @@ the figures of merit.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from math import inf, isnan, nan
+from operator import attrgetter
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -20,8 +22,8 @@ from agents.control.grid import desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Command, Dispatch, Impp, Message, Meter, Production, Residual
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, METER, PRODUCTION, RESIDUAL, Port
+from bus_schemas.messages import Dispatch, Message, Meter, Production
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, METER, PRODUCTION, RESIDUAL, Port, Signal
 from bus_schemas.tree import ROOT, parent_of
 from recordings.read.order_history import OrderHistory
 from recordings.read.reader import RunReader
@@ -29,6 +31,8 @@ from sim_plant.profile import PROFILE_NAME, load_profile
 from sim_plant.without_help import powers_without_help_kw, settling_cycles
 
 PLANT_SIGNALS: Final = (DISPATCH, METER, PRODUCTION)
+_OF_NODES: Final[dict[Signal[Any], str]] = {IMPP: "impp_kw", RESIDUAL: "residual_kw"}
+"""Where the powers of these signals are entered."""
 """What the figures of merit of a run follow from."""
 
 _MOST_COLUMNS: Final = 100
@@ -254,6 +258,7 @@ class SeriesCollector:
             lambda: np.zeros(plan.timing.cycles, bool)
         )
         self.orders = OrderHistory()
+        self._entries: dict[Port[Message], Callable[[Any], None]] = {}
         self._cycles = 0
 
     @property
@@ -267,8 +272,36 @@ class SeriesCollector:
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
-        if not 0 <= message.cycle < self._plan.timing.cycles:
-            return
+        if 0 <= message.cycle < self._plan.timing.cycles:
+            enter = self._entries.get(port)
+            if enter is None:
+                enter = self._entries[port] = self._entry(port)
+            enter(message)
+
+    def _entry(self, port: Port[Message]) -> Callable[[Any], None]:
+        """Return what enters the messages of a port: a day of a small plant has millions."""
+        if port.node in self._column:
+            if port.signal is COMMAND:
+                return self._entry_of_node(port.node, "alpha", attrgetter("alpha"))
+            if (name := _OF_NODES.get(port.signal)) is not None:
+                return self._entry_of_node(port.node, name, attrgetter("power_kw"))
+        return partial(self._enter_other, port)
+
+    def _entry_of_node(
+        self, node: str, name: str, value_of: Callable[[Message], float]
+    ) -> Callable[[Message], None]:
+        """Return what enters a number of an inverter, unless an earlier message gave one."""
+        width, column = len(self._column), self._column[node]
+        values = self._rows_of(name, width).reshape(-1).data.cast("B").cast("d")
+
+        def enter(message: Message) -> None:
+            place = message.cycle * width + column
+            if isnan(values[place]):
+                values[place] = value_of(message)
+
+        return enter
+
+    def _enter_other(self, port: Port[Message], message: Message) -> None:
         match message:
             case Dispatch():
                 self._enter_of_plant(
@@ -283,12 +316,6 @@ class SeriesCollector:
                 self._enter_production(port, message)
             case Meter() if message.frequency_hz is not None:
                 self._enter_of_plant(port, message.cycle, frequency_hz=message.frequency_hz)
-            case Impp():
-                self._enter_of_node(port, "impp_kw", message.cycle, message.power_kw)
-            case Residual():
-                self._enter_of_node(port, "residual_kw", message.cycle, message.power_kw)
-            case Command():
-                self._enter_of_node(port, "alpha", message.cycle, message.alpha)
 
     def _enter_production(self, port: Port[Message], message: Production) -> None:
         self._cycles = max(self._cycles, message.cycle + 1)
@@ -326,14 +353,6 @@ class SeriesCollector:
         if name not in self._values:
             self._values[name] = np.full((self._plan.timing.cycles, *shape), nan)
         return self._values[name]
-
-    def _enter_of_node(self, port: Port[Message], name: str, cycle: int, value: float) -> None:
-        """Enter a number of an inverter, unless an earlier message gave one."""
-        column = self._column.get(port.node)
-        if column is not None:
-            rows = self._rows_of(name, len(self._column))
-            if isnan(rows[cycle, column]):
-                rows[cycle, column] = value
 
     def _enter_of_plant(
         self, port: Port[Message], cycle: int, **said: float | NDArray[np.float64]
@@ -404,11 +423,13 @@ def _read(
 ) -> RunSeries:
     collector = SeriesCollector(reader.plan, clusters)
     own = reader.ports(*PLANT_SIGNALS) | ports
-    for port, message in reader.on(own.union(*(one.ports for one in also))):
-        collector.see(port, message)
-        for one in also:
-            if port in one.ports:
-                one.see(port, message)
+    takers = {port: [collector.see] for port in own}
+    for one in also:
+        for port in one.ports:
+            takers.setdefault(port, []).append(one.see)
+    for port, message in reader.on(takers):
+        for see in takers[port]:
+            see(port, message)
     return collected(collector, reader)
 
 
