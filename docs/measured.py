@@ -318,7 +318,8 @@ def hard_cells() -> dict[str, list[tuple[RunPlan, Profile]]]:
         for speed in (7, 15)
     }
     skies["on and off, 0.3 a cycle"] = [switched(seed, 0.3, count) for seed in range(50, 53)]
-    skies["checkerboard of 3 s"] = [checkerboard(3, count)]
+    for cycles in (3, 8):
+        skies[f"checkerboard of {cycles} s"] = [checkerboard(cycles, count)]
     runs = {
         sky: [
             (day.plan, Profile(share * rating_kw, np.full(HARD_CYCLES, part * median_kw)))

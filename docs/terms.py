@@ -75,7 +75,7 @@ TERMS: Final = {
         "HIGHEST_CORRECTION: Final = 0.1",
         "HIGHEST_CORRECTION: Final = 10.0",
     ),
-    "less of it with a delay": (CORRECTION, "/ (1.0 + delay_s / time_s) ** 2", ""),
+    "less of it with a delay": (CORRECTION, "/ (1.0 + delay_s / time_s)", ""),
     "no error between earlier aims": (CORRECTION, "in range(turns):", "in range(1):"),
     "none while all were free": (CORRECTION, "nan if is_free else aim_kw", "aim_kw"),
     "none on a ramp": (
@@ -105,7 +105,16 @@ TERMS: Final = {
         "if setpoint_kw > known.power_kw * (1.0 + ROUNDING):",
         "if rating_kw > 0.0:",
     ),
-    "room by the mean error": (FORECAST, "HELD_SPREADS: Final = 1.0", "HELD_SPREADS: Final = 0.0"),
+    "room by the forecast's error": (
+        FORECAST,
+        "HELD_SPREADS: Final = 0.7",
+        "HELD_SPREADS: Final = 0.0",
+    ),
+    "in that, shadows behind limits": (
+        FORECAST,
+        "elif now.is_seen and not last.is_stated and",
+        "elif False and",
+    ),
     "room by the rating": (FORECAST, "HELD_SHARE: Final = 0.005", "HELD_SHARE: Final = 0.0"),
     "a hidden maximum grows": (
         FORECAST,

@@ -26,8 +26,8 @@ GAIN_PER_S: Final = 0.4
 HIGHEST_GAIN: Final = 0.4
 """Share of it that is added at once, at most: in long cycles most of an error is a passing cloud's.
 
-If it comes later still, the share falls with the square of the delay: once to stay stable, and
-once because an old reading says little of what is missing now."""
+If it comes later still, the share falls with the delay: an integrator is stable up to
+2 sin(pi / (4 d + 2)) with a delay of d turns."""
 
 HIGHEST_CORRECTION: Final = 0.1
 """Largest correction up and down, as a share of the plant's rating."""
@@ -143,7 +143,7 @@ def corrected(
             kept = SHARE_MEMORY_S / (SHARE_MEMORY_S + time_s)
             helped_kw2 = kept * helped_kw2 + told_kw * lacking_kw
             tried_kw2 = kept * tried_kw2 + lacking_kw * lacking_kw
-            gain = min(GAIN_PER_S * time_s, HIGHEST_GAIN / (1.0 + delay_s / time_s) ** 2)
+            gain = min(GAIN_PER_S * time_s, HIGHEST_GAIN / (1.0 + delay_s / time_s))
             most_kw = HIGHEST_CORRECTION * law.rating_kw
             lacking_kw = min(max(lacking_kw + gain * (would_kw - lacking_kw), -most_kw), most_kw)
     if is_free or not law.is_on:

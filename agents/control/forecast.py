@@ -17,6 +17,7 @@ shortfall. The direct controller reduces it in three ways:
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Final, NamedTuple
 
 from agents.control.impp import (
@@ -41,16 +42,21 @@ DAMPING_TREND: Final = 0.1
 TREND_TIME_S: Final = 0.5
 """Time constant of the trend [s]: in short cycles the last change alone is mostly noise."""
 
-HELD_SPREADS: Final = 1.0
-"""An inverter that is asked for all it has is held this many mean forecast errors above its
-forecast, ..."""
+HELD_SPREADS: Final = 0.7
+"""An inverter that is asked for all it has is held this many forecast errors, as a root mean
+square, above its forecast, ... A few large errors then count for more than many small ones: the
+power that returns from a shadow with hard edges needs room for all of it."""
 
 HELD_SHARE: Final = 0.005
 """... and this share of its rating more. So a limit that hides the maximum always leaves room in
 which the maximum shows: at dawn and after a trip forecast and error are 0."""
 
 ERROR_MEMORY_S: Final = 20.0
-"""Time constant of the mean forecast error [s]."""
+"""Time constant of the mean square of forecast errors [s]."""
+
+SHADOW_SHARE: Final = 0.1
+"""An inverter that reads further below what its limit lets it give than this share of its rating
+lies in a shadow that was not foreseen. A smaller distance may be the noise of its meter."""
 
 HIDDEN_GROWTH_PER_S: Final = 0.01
 """Share by which a hidden maximum is assumed to grow in a second. Without growth a rising sun is
@@ -113,12 +119,14 @@ class Observed(NamedTuple):
     """The maximum of the interval that ended; assumed, not seen, where a limit hid it.
 
     is_stated: Whether it is what the inverter states, and that is believed.
+    below_kw: How far it lies below what the inverter was expected to give.
     meter: What has been learned of the inverter's meter.
     """
 
     maximum_kw: float
     is_seen: bool
     is_stated: bool
+    below_kw: float
     meter: Meter
 
 
@@ -158,12 +166,14 @@ def _observed(reading: Reading, rating_kw: float, cycle_s: float, last: Estimate
     else:
         growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
         maximum_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
-    return Observed(maximum_kw, believes or not is_held, believes, meter)
+    below_kw = min(limit_kw, last.power_kw) - maximum_kw
+    return Observed(maximum_kw, believes or not is_held, believes, below_kw, meter)
 
 
 def _extrapolated(now: Observed, rating_kw: float, cycle_s: float, last: Estimate) -> Estimate:
     """Go on along the trend, as far as trends were seen to go on."""
     trend_kw_per_s, spread_kw = 0.0, last.spread_kw
+    error_kw = last.power_kw - now.maximum_kw
     followed_kw2, trends_kw2 = last.followed_kw2, last.trends_kw2
     # A statement after a reading, or the reverse, is no change of the sky.
     if now.is_seen and last.is_seen and now.is_stated == last.is_stated:
@@ -173,8 +183,9 @@ def _extrapolated(now: Observed, rating_kw: float, cycle_s: float, last: Estimat
         trends_kw2 = kept * trends_kw2 + trend_kw * trend_kw
         trend_kw_per_s = last.trend_kw_per_s
         trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
-        error_kw = abs(now.maximum_kw - last.power_kw)
-        spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
+        spread_kw = _spread_kw(error_kw, cycle_s, last)
+    elif now.is_seen and not last.is_stated and now.below_kw > SHADOW_SHARE * rating_kw:
+        spread_kw = _spread_kw(error_kw, cycle_s, last)
     change_kw = _damping(followed_kw2, trends_kw2, rating_kw) * trend_kw_per_s * cycle_s
     return Estimate(
         power_kw=min(_ahead(now.maximum_kw, change_kw), rating_kw),
@@ -209,6 +220,12 @@ def _damping(followed_kw2: float, trends_kw2: float, rating_kw: float) -> float:
     assumed_kw2 = (DAMPING_TREND * rating_kw) ** 2
     share = (followed_kw2 + MOST_DAMPING * assumed_kw2) / (trends_kw2 + assumed_kw2)
     return min(max(share, 0.0), MOST_DAMPING)
+
+
+def _spread_kw(error_kw: float, cycle_s: float, last: Estimate) -> float:
+    """Take one more forecast error into their root mean square."""
+    apart_kw2 = error_kw * error_kw - last.spread_kw * last.spread_kw
+    return sqrt(last.spread_kw * last.spread_kw + apart_kw2 * _gain(cycle_s, ERROR_MEMORY_S))
 
 
 def _ahead(maximum_kw: float, change_kw: float) -> float:

@@ -50,7 +50,7 @@ class Estimate(NamedTuple):
     trend_kw_per_s
         How fast it rises or falls, smoothed.
     spread_kw
-        Mean error of the IMPP as a forecast.
+        Error of the IMPP as a forecast, as a root mean square.
     followed_kw2, trends_kw2
         How well changes followed the trends before them: the fading sums of change times trend,
         and of the trend squared, each in kW a cycle.

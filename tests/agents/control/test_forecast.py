@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from agents.control.forecast import (
     ERROR_MEMORY_S,
+    HELD_SPREADS,
     HIDDEN_GROWTH_PER_S,
     MOST_DAMPING,
     TREND_TIME_S,
@@ -80,7 +81,7 @@ def test_a_maximum_that_is_seen(found: Estimate, maximum_kw: float) -> None:
 def test_the_last_change_is_expected_to_go_on_damped() -> None:
     found = measured(40.0, 50.0)
     trend_kw_per_s = 10.0 / (1.0 + TREND_TIME_S)
-    spread_kw = 10.0 / (1.0 + ERROR_MEMORY_S)
+    spread_kw = 10.0 / math.sqrt(1.0 + ERROR_MEMORY_S)
     assert found.trend_kw_per_s == pytest.approx(trend_kw_per_s)
     assert found.power_kw == pytest.approx(50.0 + MOST_DAMPING * trend_kw_per_s)
     assert found.spread_kw == pytest.approx(spread_kw)
@@ -99,8 +100,18 @@ def test_a_change_that_never_goes_on_is_not_expected_to(cycle_s: float) -> None:
 def test_asked_for_all_it_has_it_is_held_near_its_forecast_and_asked_for_more_it_is_free() -> None:
     known = measured(40.0, 50.0)
     held = held_kw(known.power_kw, RATING_KW, known)
-    assert known.power_kw + known.spread_kw < held < known.power_kw + known.spread_kw + 1.0
+    room_kw = held - known.power_kw
+    assert HELD_SPREADS * known.spread_kw < room_kw < HELD_SPREADS * known.spread_kw + 1.0
     assert held_kw(known.power_kw + 0.1, RATING_KW, known) == RATING_KW
+
+
+@pytest.mark.parametrize(("power_kw", "gives_room"), [(10.0, True), (33.0, False)])
+def test_a_shadow_on_an_inverter_whose_limit_hid_its_maximum_gives_more_room_but_noise_none(
+    power_kw: float, gives_room: bool
+) -> None:
+    hidden = forecast(40.0, 40.0, SIXTY)
+    shaded = forecast(power_kw, 40.0, hidden)
+    assert (shaded.spread_kw > hidden.spread_kw) == gives_room
 
 
 @pytest.mark.parametrize("cycle_s", CYCLES_S)
@@ -171,7 +182,7 @@ def test_whatever_is_measured_the_forecast_lies_between_zero_and_the_rating(
     [
         # 30 s at 1 % a second; what compound interest makes of longer steps is little.
         ((40.0,), 20.0, 20.0, 30.0, "power_kw", 1.01**30, 0.02),
-        ((40.0, *[60.0] * 3), 60.0, RATING_KW, 2 * ERROR_MEMORY_S, "spread_kw", math.exp(-2), 0.5),
+        ((40.0, *[60.0] * 3), 60.0, RATING_KW, 2 * ERROR_MEMORY_S, "spread_kw", math.exp(-1), 0.3),
         ((80.0,), 40.8, 40.0, 900.0, "meter.reads", 1.02, 0.002),
     ],
     ids=["a hidden maximum grows", "a forecast error is forgotten", "a meter's bias is learned"],

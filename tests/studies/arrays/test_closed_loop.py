@@ -219,6 +219,23 @@ def test_the_correction_makes_up_for_what_the_estimates_got_wrong(
     assert without.power_kw[200:].sum(axis=1) == pytest.approx(3000.0 / 1.04, abs=1.0)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_inverters_that_go_dark_and_bright_at_random_miss_no_more_than_by_the_papers_rule(
+    oahu: Preparation, seed: int
+) -> None:
+    """No trend foretells the power that returns, and a limit hides it."""
+    rating_kw = oahu.profile.mpp_kw.max(axis=0)
+    flips = np.random.default_rng(seed).random(oahu.profile.mpp_kw.shape) < 0.2
+    mpp_kw = rating_kw * np.where(np.cumsum(flips, axis=0) % 2, 0.95, 0.2)
+    desired_kw = np.full(oahu.profile.cycles, 0.5 * np.median(mpp_kw.sum(axis=1)))
+    switched = with_profile(oahu, mpp_kw=mpp_kw, commitment_kw=desired_kw)
+    missed_kw = {}
+    for scheme in ("paper", "predictive"):
+        run = run_scheme(scheme, switched.plan, switched.profile, "limit")[0]
+        missed_kw[scheme] = np.clip(desired_kw - run.delivered_kw, 0.0, None).mean()
+    assert missed_kw["predictive"] <= missed_kw["paper"]
+
+
 def test_where_nothing_can_be_written_functions_are_compiled_all_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
