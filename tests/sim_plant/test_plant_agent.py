@@ -11,10 +11,12 @@ from complaints import complaint_of
 from plans_by_hand import CYCLE_NS, plan_of, with_changes
 from plants_by_hand import AtWork, at, command, memory
 
+from agents.plan_parts import Site
 from agents.settings import Revert
 from bus_schemas.messages import Message
 from bus_schemas.signals import DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
+from sim_plant.inverters import stated_kw
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile, load_profile
 
@@ -54,6 +56,15 @@ def measured(sent: Sent, cycle: int) -> list[tuple[float, float]]:
 
 def powers_kw(sent: Sent) -> tuple[float, ...]:
     return at(sent, PRODUCTION.of(ROOT)).inverter_power_kw
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.28, 7), (0.281, 8), (0.0, 0), (1.0, 25)])
+def test_as_many_inverters_state_their_available_power_as_the_share_says(
+    share: float, count: int
+) -> None:
+    site = Site(available_bias=0.0, available_share=share)
+    found = stated_kw(np.ones(25), np.ones(25), site)
+    assert np.isfinite(found).sum() == count
 
 
 def test_a_cycle_begins_with_the_operators_wish_and_the_rating_that_it_is_shared_by() -> None:

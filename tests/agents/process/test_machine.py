@@ -81,6 +81,16 @@ print(os.sched_getscheduler(0))
     assert policy == str(os.SCHED_OTHER)
 
 
+def test_where_a_sandbox_forbids_the_policy_of_lockstep_a_process_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert taken(MachineSettings(), lockstep=True)[0] == ()
+
+
 def test_only_the_thread_that_stands_back_does_so() -> None:
     before = os.getpriority(os.PRIO_PROCESS, 0)
     with ThreadPoolExecutor(1) as thread:
