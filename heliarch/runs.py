@@ -31,10 +31,9 @@ from recordings.read.reader import RunReader
 from recordings.verify.comparison import Equality
 from recordings.verify.verification import Verification
 from recordings.verify.verification import verify as verify_run
-from results.message_differences import message_differences
-from results.tables import json_rows as table_rows
+from results.tables import json_rows
 from results.timing.report import TimingReport, report_on
-from results.two_runs import figures_table, read_two_runs
+from results.two_runs import diff_runs
 from scenarios.run_options import RunOptions, TimeOptions, check_names
 from scenarios.scenario import ScenarioFile, load_scenario
 from scenarios.settings import Setting, plain, with_settings
@@ -265,11 +264,13 @@ def compare(
 class Diff(NamedTuple):
     """Two recorded runs, A and B, side by side.
 
-    `figures` has a row for each figure of merit: `figure`, `unit`, `A`, `B` and `difference`, B
-    less A. `differences` has a row for each signal that differs: where it first does, the values
-    there, and in how many cycles. `equal`: all messages of both were compared, and are the same.
+    `scenario` has a row for each setting that differs, `figures` one for each figure of merit:
+    `figure`, `unit`, `A`, `B` and `difference`, B less A. `differences` has a row for each signal
+    that differs: where it first does, the values there, and in how many cycles. `equal`: all
+    messages of both were compared, and are the same.
     """
 
+    scenario: pd.DataFrame
     figures: pd.DataFrame
     differences: pd.DataFrame
     notes: tuple[str, ...]
@@ -283,14 +284,13 @@ def diff(first: Recording, second: Recording) -> Diff:
     A and B are two runs of the same plant that begin at the same time. Only the cycles that both
     have recorded count.
     """
-    paths = _path(first), _path(second)
-    series, notes = read_two_runs(paths)
-    found = message_differences(paths, series)
-    figures, differences = (
-        pd.DataFrame(table_rows(table), columns=table.names())
-        for table in (figures_table(*series), found.table)
+    found = diff_runs((_path(first), _path(second)))
+    assert found.verdict is not None
+    equal, verdict = found.verdict
+    scenario, figures, differences = (
+        pd.DataFrame(json_rows(one), columns=one.names()) for one in found.tables
     )
-    return Diff(figures, differences, (*notes, found.verdict), found.equal)
+    return Diff(scenario, figures, differences, (*found.lines, verdict), equal)
 
 
 def _run(

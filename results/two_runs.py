@@ -36,8 +36,8 @@ def diff_runs(paths: tuple[Path, Path]) -> Result:
     """Put two recordings side by side: what differs in their scenarios comes first."""
     with RunReader(paths[0]) as first, RunReader(paths[1]) as second:
         scenarios = scenario_differences(first, second)
-    series, lines = read_two_runs(paths)
-    figures, found = figures_table(*series), message_differences(paths, series)
+    series, lines = _read_both(paths)
+    figures, found = _figures_table(*series), message_differences(paths, series)
     tables = [scenarios, figures, found.table]
     names = "scenario", "figures", "differences"
     document: dict[str, object] = {"runs": [str(path) for path in paths]}
@@ -56,7 +56,7 @@ def with_and_without_help(path: Path) -> Result:
     if not np.isfinite(series.without_help_kw).any():
         raise InputError(f"{path}: expected a cycle with the power of each inverter, got none")
     both = [series, _without_help(series)]
-    table = figures_table(*both)
+    table = _figures_table(*both)
     title = f"{_name(path)}, with help and without"
     result = runs_result(title, both, [table], lines, json_rows(table))
     found = f"{headline(run_figures(series)).capitalize()}."
@@ -79,7 +79,7 @@ def _name(path: Path) -> str:
     return path.resolve().parent.name if path.name == RECORDING_NAME else path.name
 
 
-def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:
+def _read_both(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:
     """Read two recordings as A and B, the cycles that both have, and what a reader must know."""
     series, lines = [], []
     for label, path in zip("AB", paths, strict=True):
@@ -121,7 +121,7 @@ def _differ(first: RunSeries, second: RunSeries, name: str) -> NDArray[np.bool_]
     return np.asarray(~((a == b) | (np.isnan(a) & np.isnan(b))))
 
 
-def figures_table(first: RunSeries, second: RunSeries) -> Table:
+def _figures_table(first: RunSeries, second: RunSeries) -> Table:
     runs = [(one.label, run_figures(one)) for one in (first, second)]
     figures = shown_in(Shown.REPORT | Shown.COMPARE)
     title = f"Figures of merit, {second.label} less {first.label}"

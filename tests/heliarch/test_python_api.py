@@ -201,6 +201,10 @@ def test_a_run_shows_its_figures_and_the_plants_powers(run: heliarch.Run) -> Non
     assert f"{run.metrics['control-caused']:.3f} %" in repr(run)
     page = run._repr_html_()
     assert "Satisfied commitment" in page
+    assert "<pre>available" in page
+    assert run.metrics.attrs["units"]["control-caused"] == "% of dispatch"
+    for table in (run.plant, run.power):
+        assert set(table.attrs["units"].values()) == {"kW"}
     assert "nan" not in page
     plant = run.plant
     assert len(plant) == 60

@@ -11,6 +11,8 @@ from command_line import done, heliarch, python
 from plans_by_hand import plan_at_noon
 from rich.console import Console
 
+from agents.process.events import Status
+from bus_schemas.errors import listed
 from heliarch.cli.app import COMMANDS
 from heliarch.cli.live_view import PlainView
 from results.figures import FIGURES
@@ -143,7 +145,28 @@ def test_a_launched_run_shows_names_with_markup_and_escapes_as_text(is_terminal:
     assert not any(text in shown for text in ("\x9b", "\x1b]", "\x1b[2J"))
 
 
-def test_a_run_ends_with_the_commands_that_look_at_it(plant: str, tmp_path: Path) -> None:
-    text = done("simulate", plant, "--duration", "5", "--out", tmp_path / "run")
+@pytest.mark.parametrize("width", range(60, 130, 7))
+def test_the_progress_of_a_run_fits_into_its_terminal_and_cuts_nothing(width: int) -> None:
+    output = io.StringIO()
+    console = Console(file=output, force_terminal=True, width=width, color_system=None)
+    plan = plan_at_noon()
+    names = ["c1", "c1/inverter07", "c2/inverter11"]
+    start_ns = plan.timing.start_time_ns
+    PlainView(console, plan).show(Status(29, start_ns, 3508.0, 4684.0, 3508.0, names, 0))
+    shown = output.getvalue().removeprefix("\r\x1b[K")
+    assert len(shown) < width
+    powers, _, helped = shown.partition("; help: ")
+    whole = "dispatch 3508 kW", "delivered 3508 kW", "available 4684 kW"
+    assert set(powers.split(", ")[1:]) <= set(whole)
+    assert helped in {"", "3 nodes", *(listed(names, most) for most in (1, 2, 3))}
+
+
+@pytest.mark.parametrize("has_report", [True, False])
+def test_a_run_ends_with_the_commands_that_look_at_it(
+    plant: str, tmp_path: Path, has_report: bool
+) -> None:
+    more = ["--report"] if has_report else []
+    text = done("simulate", plant, "--duration", "5", "--out", tmp_path / "run", *more)
+    commands = {"view", "inspect"} if has_report else {"view", "report", "inspect"}
     for command in ("view", "report", "inspect"):
-        assert f"{command} {tmp_path / 'run'}" in text
+        assert (f"{command} {tmp_path / 'run'}" in text) == (command in commands)
