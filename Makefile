@@ -98,7 +98,7 @@ pictures: $(READY) ## the pictures of README that are drawn from runs
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py
 
-campaign: $(READY) ## random faults on nine small plants, judged cycle by cycle: SEEDS=1..1000; two minutes of processor time for 100
+campaign: $(READY) ## random faults on ten small plants, judged cycle by cycle: SEEDS=1..1000; two minutes of processor time for 100
 	PYTHONPATH=$(CURDIR):$(CURDIR)/tests $(BIN)/python tests/campaign/campaign.py $(or $(SEEDS),1..100)
 
 soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s; the recorder killed 20 times; planted bugs; other random examples

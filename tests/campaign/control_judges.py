@@ -129,9 +129,8 @@ class _Known:
 
 def reports(run: FaultyRun) -> Breaches:
     """Check that IMPP, residual and call for help follow from a share, or from the children."""
-    tree = run.plan.tree
     for one in run.of_stage("estimate", "report"):
-        own_kw, children = share_kw(run, one, one.node), tree.children(one.node)
+        own_kw, children = share_kw(run, one, one.node), run.children(one.node)
         if one.doubtful:
             continue
         report = one.sent[key(one.node, "impp")]
@@ -180,7 +179,7 @@ def _divisions(run: FaultyRun) -> Iterator[tuple[Decision, Any, Any, Any, float]
     The central controller's target, corrected by the meter, is in its shares alone.
     """
     for one in run.of_stage("solve"):
-        children = run.plan.tree.children(one.node)
+        children = run.children(one.node)
         given = [one.sent.get(key(child, "setpoint")) for child in children]
         if one.doubtful or None in given or one.used["dispatch"] is None:
             continue
@@ -190,7 +189,8 @@ def _divisions(run: FaultyRun) -> Iterator[tuple[Decision, Any, Any, Any, float]
         if one.agent != CENTRAL:
             setpoint = one.used[key(one.node, "setpoint")]
             wanted_kw = share_kw(run, one, one.node) if setpoint is None else setpoint.power_kw
-            target_kw = max((wanted_kw or 0.0) - has_kw[silent].sum(), 0.0)
+            wanted_kw = max((wanted_kw or 0.0) - sum(_of_storages_kw(run, one).values()), 0.0)
+            target_kw = max(wanted_kw - has_kw[silent].sum(), 0.0)
         yield one, given, has_kw, silent, target_kw
 
 
@@ -198,11 +198,11 @@ def division(run: FaultyRun) -> Breaches:
     """Check each child's part: its share by rating, help between siblings, and its setpoint."""
     control = run.plan.control
     for one, given, counted_kw, silent, target_kw in _divisions(run):
-        children = run.plan.tree.children(one.node)
+        children = run.children(one.node)
         ratings_kw = np.array([run.rating_kw(child) for child in children])
         near_kw, has_kw = EXACT * ratings_kw.sum(), np.where(silent, 0.0, counted_kw)
         shares_kw = np.array([setpoint.share_kw for setpoint in given])
-        power_kw = np.array([setpoint.power_kw for setpoint in given])
+        power_kw = np.array([one.power_kw - (one.storage_kw or 0.0) for one in given])
         # All have the same part of their rating, or what they cannot go below.
         floor_kw = control.alpha_floor * has_kw
         part = (shares_kw / ratings_kw).min()
@@ -232,6 +232,82 @@ def division(run: FaultyRun) -> Breaches:
             n = int(np.abs(power_kw - due_kw).argmax())
             text = f"{power_kw[n]:,.3f} kW, not {due_kw[n]:,.3f} kW"
             yield one.cycle, f"{one.agent} gives {children[n]} {text}"
+
+
+def _of_storages_kw(run: FaultyRun, one: Decision) -> dict[str, float]:
+    """Return what a parent asks of the storages at or below each child that has some [kW]."""
+    tree = run.plan.tree
+    given = {child: one.sent[key(child, "setpoint")] for child in tree.children(one.node)}
+    return {
+        child: float(its.power_kw if tree.is_storage(child) else its.storage_kw or 0.0)
+        for child, its in given.items()
+        if tree.storage_kw(child)
+    }
+
+
+def _able_kw(run: FaultyRun, one: Decision) -> NDArray[np.float64]:
+    """Return what the storages of each child can give, take, and be charged with [kW]."""
+    children = [one for one in run.plan.tree.children(one.node) if run.plan.tree.storage_kw(one)]
+    impps = [one.used[key(child, "impp")] for child in children]
+    fields = ("discharge_kw", "absorb_kw", "charge_kw")
+    rows = [[getattr(impp, name) or 0.0 if impp else 0.0 for name in fields] for impp in impps]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def _uncharged_kw(run: FaultyRun, one: Decision, asked_kw: float, has_kw: float) -> float:
+    """Return the target of which inverters were asked for more, to charge storages [kW].
+
+    They are charged with half of the headroom at most.
+    """
+    charge_kw = float(_able_kw(run, one)[:, 2].sum())
+    return max(asked_kw - charge_kw, 2.0 * asked_kw - has_kw) if asked_kw < has_kw else asked_kw
+
+
+def storages(run: FaultyRun) -> Breaches:
+    """Check what storages are asked for: what inverters lack, or what they give too much.
+
+    The inverters of the campaign's plant with storages follow at once.
+    """
+    yield from _wrong_abilities(run)
+    for one, given, has_kw, silent, _ in _divisions(run):
+        parts_kw, able_kw = _of_storages_kw(run, one), _able_kw(run, one)
+        setpoint = one.used.get(key(one.node, "setpoint"))
+        if not parts_kw or silent.any():
+            continue
+        if setpoint is not None:
+            wanted_kw = setpoint.storage_kw or 0.0
+        elif one.agent == CENTRAL:
+            asked_kw = sum(its.share_kw for its in given)
+            wanted_kw = _uncharged_kw(run, one, asked_kw, has_kw.sum())
+            wanted_kw -= min(asked_kw, has_kw.sum())
+        else:
+            continue
+        most_kw = able_kw[:, 0 if wanted_kw >= 0.0 else 1]
+        share = min(abs(wanted_kw) / most_kw.sum(), 1.0) if most_kw.sum() else 0.0
+        due_kw = np.copysign(share * most_kw, wanted_kw)
+        if np.abs(due_kw - [*parts_kw.values()]).max() > 2.0 * EXACT * run.rating_kw():
+            yield one.cycle, f"{one.agent} asks storages for {parts_kw}, not {due_kw.tolist()}"
+
+
+def _wrong_abilities(run: FaultyRun) -> Breaches:
+    """Check what storages say that they can give and take, by what they have measured."""
+    settings, cycle_s = {one.path: one for one in run.plan.storages}, run.plan.timing.cycle_s
+    for one in run.decisions:
+        measured, its = one.used.get(key(one.node, "telemetry")), settings.get(one.node)
+        if its is None or measured is None or one.doubtful or measured.cycle < one.cycle:
+            continue
+        kwh, ramp_kw = measured.energy_kwh, its.rating_kw * (its.ramp_percent_per_s or inf) / 100.0
+        stored_kwh = kwh - its.lowest_state * its.capacity_kwh
+        room_kwh = its.highest_state * its.capacity_kwh - kwh
+        give_kw = stored_kwh * its.discharge_efficiency / cycle_s * 3600.0
+        take_kw = room_kwh / its.charge_efficiency / cycle_s * 3600.0
+        due_kw = (
+            max(min(its.rating_kw, give_kw, ramp_kw * cycle_s + measured.power_kw), 0.0),
+            max(min(its.rating_kw, take_kw, ramp_kw * cycle_s - measured.power_kw), 0.0),
+        )
+        said = one.sent[key(one.node, "impp")]
+        if np.abs(np.subtract(due_kw, (said.discharge_kw, said.absorb_kw))).max() > 1e-6:
+            yield one.cycle, f"{one.agent} can give and take {due_kw} kW, and says otherwise"
 
 
 def _help_kw(
@@ -341,7 +417,7 @@ class _Aim(NamedTuple):
 
 def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
     """Yield what the central controller aims at, turn by turn; None where it is not known."""
-    children, near_kw = run.plan.tree.children(ROOT), 2.0 * EXACT * run.rating_kw()
+    children, near_kw = run.children(ROOT), 2.0 * EXACT * run.rating_kw()
     reference, read, process, seen_kw = (nan, nan), 0, -1, tuple[float, ...]()
     readings, stated = run.trace.of["meter"], tuple[float, ...]()
     for one in run.of_stage("solve"):
@@ -369,6 +445,7 @@ def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
         silent_kw = sum(kw for child, kw in has_kw.items() if one.used[key(child, "impp")] is None)
         target_kw = sum(setpoint.share_kw for setpoint in given if setpoint) + silent_kw
         possible_kw = sum(has_kw.values())
+        target_kw = _uncharged_kw(run, one, target_kw, possible_kw)
         low_kw, high_kw = (aim_kw(run, one, kw, possible_kw) for kw in reference)
         needs_kw = [gross_kw(run, kw) for kw in (low_kw, high_kw)]
         stated_now = run.trace.of["memory"].get(one.cycle, ())

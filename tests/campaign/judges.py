@@ -84,8 +84,11 @@ def under_delivery(run: FaultyRun) -> Breaches:
 
 
 def recovery(run: FaultyRun) -> Breaches:
-    """Check that some time after the last fault all is as if there had been none."""
-    if run.healthy is None or run.plan.control.offers:  # Offers remember what was kept.
+    """Check that some time after the last fault all is as if there had been none.
+
+    Offers remember what was kept, and storages what they gave.
+    """
+    if run.healthy is None or run.plan.control.offers or run.plan.storages:
         return
     cycles = run.trace.cycles
     apart_kw = np.abs(run.trace.delivered_kw - run.healthy.trace.delivered_kw[cycles])
@@ -198,10 +201,12 @@ JUDGES: Final[dict[str, Callable[[FaultyRun], Breaches]]] = {
     "schedule": plant_judges.schedule,
     "inverters": plant_judges.inverters,
     "meters": plant_judges.meters,
+    "storages": plant_judges.storages,
     "inputs": inputs,
     "estimates": control_judges.estimates,
     "reports": control_judges.reports,
     "division": control_judges.division,
+    "storage": control_judges.storages,
     "commands": control_judges.commands,
     "target": control_judges.target,
     "offers": control_judges.offers,

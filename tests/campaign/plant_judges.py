@@ -80,12 +80,7 @@ def net_kw(run: FaultyRun, power_kw: Any) -> Any:
 def true_mpp_kw(run: FaultyRun, cycle: int) -> NDArray[np.float64]:
     """Return what each inverter can give in a cycle; a tripped one draws standby power [kW]."""
     time_s, leaves = cycle * run.plan.timing.cycle_s, run.plan.tree.leaves
-    active = [
-        rule
-        for rule in run.plan.faults.rules
-        if isinstance(rule, Trip) and rule.at[0] <= time_s < rule.at[1]
-    ]
-    tripped = [any(fnmatchcase(leaf, one.agents) for one in active) for leaf in leaves]
+    tripped = [_is_tripped(run, leaf, time_s) for leaf in leaves]
     ratings_kw = np.array([run.rating_kw(leaf) for leaf in leaves])
     return np.where(tripped, -0.001 * ratings_kw, run.profile.mpp_kw[cycle])
 
@@ -165,12 +160,13 @@ def _stated(run: FaultyRun, cycle: int, signal: str) -> list[Any]:
 
 def meters(run: FaultyRun) -> Breaches:
     """Check what the plant measures and states of the interval that ended."""
-    plan, near_kw, last_kw = run.plan, EXACT * run.rating_kw(), None
+    plan, near_kw, last_kw, stored_kw = run.plan, EXACT * run.rating_kw(), None, 0.0
     factor = 1.0 + plan.grid.meter_error_percent / 100.0
     for made in run.trace.produced:
         cycle, power_kw = made.cycle, np.array(made.inverter_power_kw)
+        now_stored_kw = sum(made.storage_power_kw or ())
         due = {
-            "delivered_kw": net_kw(run, power_kw.sum()),
+            "delivered_kw": net_kw(run, power_kw.sum() + now_stored_kw),
             "available_kw": net_kw(run, true_mpp_kw(run, cycle).sum()),
             "dispatch_kw": run.trace.of["dispatch"][cycle][0].power_kw,
         }
@@ -179,13 +175,71 @@ def meters(run: FaultyRun) -> Breaches:
                 yield cycle, f"production: {name} {getattr(made, name):,.3f}, not {kw:,.3f}"
         meter = run.trace.of["meter"][cycle][0]
         if last_kw is not None:
-            due_kw = net_kw(run, last_kw.sum()) * factor
+            due_kw = net_kw(run, last_kw.sum() + stored_kw) * factor
             if abs(meter.power_kw - due_kw) > near_kw:
                 yield cycle, f"the meter shows {meter.power_kw:,.3f} kW, not {due_kw:,.3f} kW"
             yield from _wrong_telemetry(run, cycle, last_kw)
         if run.profile.frequency_hz.size and meter.frequency_hz != run.profile.frequency_hz[cycle]:
             yield cycle, f"the meter shows {meter.frequency_hz} Hz"
-        last_kw = power_kw
+        last_kw, stored_kw = power_kw, now_stored_kw
+
+
+def storages(run: FaultyRun) -> Breaches:
+    """Check that storages obey within their limits, and that no energy is made or lost."""
+    last = {one.path: (0.0, one.state * one.capacity_kwh, 0.0, 0) for one in run.plan.storages}
+    before = -1
+    for decision in run.applied:
+        made, cycle, passed = decision.sent["production"], decision.cycle, decision.cycle - before
+        before, time_s = cycle, cycle * run.plan.timing.cycle_s
+        for n, one in enumerate(run.plan.storages):
+            power_kw, energy_kwh = made.storage_power_kw[n], made.storage_energy_kwh[n]
+            last_kw, last_kwh, wanted_kw, renewed = last[one.path]
+            command = decision.used[key(one.path, "command")]
+            if command is not None and command.cycle >= renewed:
+                wanted_kw, renewed = command.power_kw, command.cycle
+            if cycle - renewed >= run.plan.control.hold_cycles or _is_tripped(
+                run, one.path, time_s
+            ):
+                wanted_kw = 0.0
+            last[one.path] = power_kw, energy_kwh, wanted_kw, renewed
+            if passed > 1 or key(one.path, "command") in decision.doubtful:
+                continue
+            for text in _wrong_storage(
+                run, one, (last_kw, last_kwh), (power_kw, energy_kwh), wanted_kw
+            ):
+                yield cycle, f"{one.path} {text}"
+
+
+def _wrong_storage(
+    run: FaultyRun, one: Any, last: tuple[float, float], now: tuple[float, float], wanted_kw: float
+) -> Iterator[str]:
+    """Say what is wrong with the power and the energy of a storage after those of a cycle ago."""
+    hours, (last_kw, last_kwh), (power_kw, energy_kwh) = _hours(run), last, now
+    kept_kwh = last_kwh - min(one.standing_loss_kw * hours, last_kwh)
+    per_kw = hours * one.charge_efficiency if power_kw < 0.0 else hours / one.discharge_efficiency
+    if abs(energy_kwh - kept_kwh + power_kw * per_kw) > 1e-6:
+        yield f"holds {energy_kwh:.6f} kWh"
+    step_kw = one.rating_kw * (one.ramp_percent_per_s or inf) / 100.0 * hours * 3600.0
+    due_kw = min(max(wanted_kw, last_kw - step_kw, -one.rating_kw), last_kw + step_kw)
+    lowest_kwh = one.lowest_state * one.capacity_kwh
+    if lowest_kwh < energy_kwh < one.highest_state * one.capacity_kwh:
+        due_kw = min(due_kw, one.rating_kw)
+        if abs(power_kw - due_kw) > EXACT * one.rating_kw:
+            yield f"gives {power_kw:,.3f} kW, not {due_kw:,.3f} kW"
+    elif power_kw > EXACT and energy_kwh < lowest_kwh - EXACT:
+        yield f"gives {power_kw:,.3f} kW, with {energy_kwh:.6f} kWh in it"
+
+
+def _hours(run: FaultyRun) -> float:
+    return run.plan.timing.cycle_s / 3600.0
+
+
+def _is_tripped(run: FaultyRun, node: str, time_s: float) -> bool:
+    return any(
+        fnmatchcase(node, rule.agents) and rule.at[0] <= time_s < rule.at[1]
+        for rule in run.plan.faults.rules
+        if isinstance(rule, Trip)
+    )
 
 
 def _wrong_telemetry(run: FaultyRun, cycle: int, last_kw: NDArray[np.float64]) -> Breaches:

@@ -162,6 +162,31 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
         },
         Worth(0.0005, 0.024, 0.005, 0.0, 0.33),
     ),
+    "storage": CampaignPlant(
+        _EIGHT,
+        "150s",
+        {
+            "control.correction": False,
+            "commitment.share": 0.85,
+            "storage": [
+                {
+                    "name": "near",
+                    "cluster": "c1",
+                    "rating_kw": 400,
+                    "capacity_kwh": 3,
+                    "state": 0.5,
+                },
+                {
+                    "name": "far",
+                    "rating_kw": 700,
+                    "capacity_kwh": 9,
+                    "ramp_percent_per_s": 10,
+                    "standing_loss_kw": 20,
+                },
+            ],
+        },
+        Worth(0.0008, 0.0021, 0.0031, 0.0, 1.1),
+    ),
     "valley": CampaignPlant(
         "valley", "150s", {"commitment.share": 0.7}, Worth(0.0011, 0.0006, 0.0008, 0.0, 0.92)
     ),

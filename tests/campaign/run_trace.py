@@ -124,6 +124,11 @@ class FaultyRun:
     def rating_kw(self, node: str = ROOT) -> float:
         return self.plan.tree.rating_kw(node)
 
+    def children(self, node: str) -> tuple[str, ...]:
+        """Return those among which a parent shares out its target: no storages."""
+        tree = self.plan.tree
+        return tuple(child for child in tree.children(node) if not tree.is_storage(child))
+
     def acts(self, node: str, cycle: int) -> bool:
         """Whether it is a parent's turn to send setpoints."""
         tier = node.count("/") + 1 if node else 0
@@ -156,7 +161,9 @@ class FaultyRun:
         ]
 
     def of_stage(self, *stages: str) -> Iterator[Decision]:
-        return (one for one in self.decisions if one.stage in stages)
+        """Yield the decisions of parents and inverters in some stages."""
+        storages = self.plan.tree.storage_paths
+        return (one for one in self.decisions if one.stage in stages and one.node not in storages)
 
     @cached_property
     def applied(self) -> list[Decision]:
@@ -164,8 +171,7 @@ class FaultyRun:
         return [one for one in self.decisions if one.stage == "apply"]
 
     def _of_agent(self, agent: str, node: str) -> Iterator[Decision]:
-        leaves = self.plan.tree.leaves
-        commands = tuple(key(leaf, "command") for leaf in leaves)
+        commands = tuple(key(one, "command") for one in self.plan.tree.devices)
         apply = (Stage("apply", ("production",), commands),)
         speaks, heard = 0, dict[str, tuple[int, int]]()
         for cycle in range(self.plan.timing.cycles):
