@@ -136,18 +136,19 @@ def read_through(
     plan = run.plan
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
     states, links = AgentStates(plan, wanted.start), plan.network_faults()
-    ports = listener.ports if listener else ()
+    heard = listener.ports if listener else frozenset[Port[Message]]()
+    touched = {port for port in plan.wiring.ports if plan.faults.rules and port.signal.is_cyclic}
+    decoded = touched | set(heard)
     first_ns = last_ns = 0
     for record in run.records(cycles=cycles):
         port = record.port
         states.see(record)
         last_ns = record.log_time_ns
         first_ns = first_ns or last_ns
-        is_touched = bool(plan.faults.rules) and port.signal.is_cyclic
-        if (port in ports or is_touched) and (message := run.decoded(record)):
-            if is_touched:
+        if port in decoded and (message := run.decoded(record)):
+            if port in touched:
                 _see_faults(plan, links, port, message)
-            if listener is not None and port in ports:
+            if listener is not None and port in heard:
                 listener.see(port, message)
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = min(states.end_cycle(run.stop_cycle), wanted.stop)

@@ -273,7 +273,8 @@ class MissedInputs:
 
     def see(self, record: RecordedMessage) -> list[str]:
         """Count what a record says; return the keys that its sender missed."""
-        return self.count(record.port, record.cycle, lacks(record.payload))
+        said = lacks(record.payload)
+        return self.count(record.port, record.cycle, said) if said else []
 
     def count(self, port: Port[Message], cycle: int, said: tuple[str, ...]) -> list[str]:
         if not said or not port.signal.is_cyclic:
