@@ -48,7 +48,6 @@ def begun(preparation: Preparation, folder: RunFolder, driver: str) -> RunDocume
         sim_start=preparation.local_start(),
         planned_cycles=plan.timing.cycles,
         cycle_s=plan.timing.cycle_ns / 1e9,
-        hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,
         offset_kw=plan.control.offset_kw,
         offset_errors=plan.control.offset_errors,

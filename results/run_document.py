@@ -96,7 +96,6 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
     """What became of a run: its end, counts, figures, health and answers.
 
     scenario, driver, folder, sim_start, planned_cycles, cycle_s: What was run, where and how.
-    hindsight_neighbours: Whether the clusters were chosen in hindsight.
     offset_kw, offset_errors: How much more than the dispatch the plant aimed at, as in its plan.
     cycles: How many were completed.
     dropped: Messages that agents could not use, by cause.
@@ -117,7 +116,6 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
     sim_start: str
     planned_cycles: int
     cycle_s: float
-    hindsight_neighbours: bool = False
     remarks: tuple[str, ...] = ()
     offset_kw: float = 0.0
     offset_errors: float = 0.0

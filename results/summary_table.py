@@ -37,7 +37,6 @@ def print_summary(summary: RunDocument, console: Console) -> None:
 
 
 def summary_table(summary: RunDocument) -> Table:
-    hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
     return Table(
         f"{summary.scenario} from {summary.sim_start}, {summary.driver}",
         _COLUMNS,
@@ -52,7 +51,6 @@ def summary_table(summary: RunDocument) -> Table:
             _GAP,
             *_process_rows(summary),
         ),
-        (hindsight,) if summary.hindsight_neighbours else (),
     )
 
 

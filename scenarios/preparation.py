@@ -75,11 +75,6 @@ class Preparation:
     options: RunOptions
     remarks: tuple[str, ...]
 
-    @property
-    def hindsight(self) -> bool:
-        """Whether clusters and neighbours were chosen from the run's own data."""
-        return self.scenario.scenario.neighbours.history == "hindsight"
-
     def local_start(self) -> str:
         """Return the local time of cycle 0, to be read."""
         moment = pd.Timestamp(self.plan.timing.start_time_ns, tz="UTC")
@@ -164,6 +159,8 @@ def prepare(
         remarks.append(
             f"inverters revert after {plan.site.revert.after_s:g} s, which is three cycles"
         )
+    if scenario.neighbours.history == "hindsight":
+        remarks.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
     if is_hindsight(scenario.commitment):
         remarks.append("The commitment follows from the run's own available power: hindsight.")
     meter = np.random.default_rng(scenario.plant.meter_seed)  # The same errors in each run.

@@ -101,13 +101,11 @@ def _budgets(reader: RunReader) -> AnswerBudgets | None:
 
 def _notes(reader: RunReader) -> list[str]:
     """Return what the recording, and the summary beside it, say about the run."""
-    scenario, origin = reader.scenario_table(), reader.metadata.get("run", {})
+    origin = reader.metadata.get("run", {})
     notes = [
         f"Recorded by heliarch {origin.get('driver', '')}, "
         f"version {origin.get('version heliarch', 'unknown')}, in {reader.path.name}.",
     ]
-    if scenario.get("neighbours", {}).get("history") == "hindsight":
-        notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
     outcome = outcome_of(reader)
     notes += outcome.document.remarks if outcome.document else ()
     if outcome.text != "over":

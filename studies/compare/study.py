@@ -67,6 +67,5 @@ def run_schemes(
 def remarks_of(preparation: Preparation) -> str:
     """Return what a reader must know about the data of a study."""
     perfect = "Faults act on paper and predictive; the other schemes have no network."
-    hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
-    more = [perfect] * bool(preparation.plan.faults.rules) + [hindsight] * preparation.hindsight
+    more = [perfect] * bool(preparation.plan.faults.rules)
     return " ".join([*preparation.remarks, *more])

@@ -83,7 +83,7 @@ def test_a_scenario_becomes_a_plan_and_a_profile(folder: Folder) -> None:
     assert set(profile.commitment_kw.tolist()) == {100.0}
     assert not profile.regulation_kw.any(), "nothing is offered without a table"
     assert found.local_start() == "2024-05-12 13:00:00 CEST"
-    assert not found.hindsight
+    assert found.remarks == ()
 
 
 def test_the_command_line_may_change_time_and_pace(folder: Folder) -> None:
@@ -137,7 +137,7 @@ def test_measured_irradiance_brings_its_own_inverters(measured: Folder) -> None:
     assert set(found.plan.tree.leaves) == {"c1/inv16", "c1/inv40"}
     assert found.plan.tree.rating_kw("c1/inv16") == 150.0
     assert found.profile.mpp_kw.shape == (30, 2)
-    assert found.hindsight
+    assert "neighbours were chosen" in " ".join(found.remarks)
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())
