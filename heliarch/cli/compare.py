@@ -74,19 +74,8 @@ def compare(
     actuator
         Actuators to run each scheme with: fraction,limit. Default: the scenario's.
     show
-        Figures of merit to show for many cases, with commas: cycles, planned-cycles,
-        dispatched-energy, available-energy, delivered-energy, unknown-energy, satisfied,
-        shortfall-energy, unavoidable-energy, control-caused-energy, without-help-energy,
-        over-delivered-energy, metered-control-caused-energy, metered-over-delivered-energy,
-        shortfall, unavoidable, control-caused, without-help, over-delivered,
-        metered-control-caused, metered-over-delivered, rmse, mae, mileage, battery-power,
-        battery-energy, battery-cycles, battery-mileage, control-battery-power,
-        control-battery-energy, without-help-battery-power, without-help-battery-energy,
-        without-help-battery-cycles, without-help-battery-mileage, curtailed-energy, curtailed,
-        ancillary-potential, rise, fall, ramp, ramp-limit, above-ramp-limit, ramp-control,
-        ramp-clouds, loss-energy, outside-help, outside-help-able, missed-inputs, reverted,
-        intervals, kept-intervals, firm-energy, promised, capacity, offered, signal-mileage,
-        regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy, delay, precision, score.
+        Figures of merit to show for many cases, with commas, by their names in docs/metrics.md
+        and in --json.
     cluster
         Address of a Dask scheduler, such as tcp://host:8786: its workers share the cases instead.
     faults
