@@ -12,7 +12,6 @@ from complaints import complaint_of
 from plans_by_hand import plan_of
 
 from agents.plan_file import check_plan, load_plan
-from launch_scripts.process import main
 
 PLAN = plan_of({"c1/a": 470.5, "c1/b": 1 / 3, "c2/a": 1e6}, cycles=3600, period_cycles=(10, 1))
 
@@ -61,15 +60,6 @@ def test_a_plan_that_cannot_be_used_is_refused_and_says_where(
     found = complaint_of(load_plan, path)
     assert found.startswith(f"{path}: ")
     assert named in found
-
-
-@pytest.mark.parametrize("node", ["c1/z", "c9", ""])
-def test_a_process_started_by_hand_must_be_one_of_the_run(
-    path: Path, node: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["process", node, "--plan", str(path)])
-    assert main() == 2
-    assert node in capsys.readouterr().err
 
 
 TALL = dict.fromkeys(("z1/c1/a", "z1/c1/b", "z1/c2/c", "z2/c3/d"), 100.0)

@@ -123,10 +123,3 @@ def test_a_process_shows_the_tokens_of_its_agents_and_no_others() -> None:
             if any(one.includes(zenoh.KeyExpr(wiring.alive_key(agent))) for one in shown)
         }
         assert found == {*wiring.members[process]}
-
-
-def test_many_ports_of_a_parent_have_one_key_expression() -> None:
-    wiring = Wiring("tall", TALL)
-    of_parent = [port for port in wiring.heard["z1/c11"] if port.signal.name == "impp"]
-    assert list(wiring.key_exprs(of_parent)) == ["tall/z1/c11/*/impp"]
-    assert len(wiring.key_exprs(of_parent, least=4)) == 3

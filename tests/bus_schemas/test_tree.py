@@ -7,28 +7,18 @@ import math
 import pytest
 
 from bus_schemas.errors import InputError
-from bus_schemas.selection import find_agents, find_nodes
+from bus_schemas.selection import find_nodes
 from bus_schemas.tree import (
     LONGEST_PATH,
     MOST_CHILDREN,
     MOST_INVERTERS,
     ROOT,
     ControlTree,
-    agent_name,
 )
 
 TREE = ControlTree(
     (("c2/a", 100.0), ("c1/a", 250.0), ("e", 30.0), ("z1/c1/d", 70.0), ("c1/b", 20.0))
 )
-
-
-def test_inverters_keep_the_order_of_the_plant_and_parents_come_before_their_descendants() -> None:
-    assert TREE.leaves == ("c2/a", "c1/a", "e", "z1/c1/d", "c1/b")
-    assert TREE.parents == (ROOT, "c1", "c2", "z1", "z1/c1")
-    assert TREE.nodes == TREE.parents + TREE.leaves
-    assert TREE.agents() == ("recorder", "plant", "central", *TREE.nodes[1:])
-    assert (agent_name(ROOT), agent_name("c1")) == ("central", "c1")
-    assert TREE.height == 3
 
 
 @pytest.mark.parametrize(
@@ -94,7 +84,3 @@ def test_a_star_means_a_node_and_all_below_it(names: str | list[str], found: set
     nodes = find_nodes(NAMED, names)
     assert set(nodes) == found
     assert len(nodes) == len(found), "each once"
-
-
-def test_agents_are_the_nodes_and_the_plant() -> None:
-    assert find_agents(NAMED, "plant,central,c10/*") == ("plant", "central", "c10", "c10/a")

@@ -90,31 +90,6 @@ def test_a_tolerance_may_be_a_share_of_the_capacity(
 
 
 @pytest.mark.parametrize(
-    ("regulation_kw", "error_kw", "cycle_s", "start"),
-    [
-        # Requests begin at the even seconds of the clock.
-        ([10.0, 20.0, 20.0, 30.0], [0.0, 0.0, 70.0, 0.0], 1.0, "2010-04-01T12:00:01"),
-        # A cycle longer than a request is a request.
-        ([10.0, 20.0, 20.0], [0.0, 70.0, 0.0], 10.0, NOON),
-    ],
-)
-def test_a_request_lasts_two_seconds_or_a_cycle(
-    regulation_kw: list[float], error_kw: list[float], cycle_s: float, start: str
-) -> None:
-    found = regulated(regulation_kw, error_kw, cycle_s=cycle_s, start=start)
-    assert found["regd-strict"] == pytest.approx(200 / 3)
-
-
-def test_only_the_time_counts_in_which_regulation_is_offered() -> None:
-    offered = np.arange(600) // 100 % 2 == 1
-    # Nothing at all is delivered while it is not offered.
-    found = regulated(np.where(offered, 50.0, 0.0), np.where(offered, 0.0, -COMMITMENT_KW))
-    assert found["regd-strict"] == 100.0
-    assert found["offered"] == pytest.approx(300 / 3600)
-    assert found["signal-mileage"] == 0.0  # the steps into the offer are no signal
-
-
-@pytest.mark.parametrize(
     ("regulation", "offered"),
     [
         ("000+0-0000", "0001110000"),

@@ -7,7 +7,7 @@ from math import nan
 import pytest
 from printing import printed
 
-from results.tables import Column, Number, Table, json_rows, key_column, print_table, word_column
+from results.tables import Column, Number, Table, json_rows, key_column, print_table
 
 
 def many_columns(columns: int) -> Table:
@@ -42,15 +42,6 @@ def test_every_cell_is_printed_beside_what_tells_its_row_apart(width: int, colum
         assert second.startswith("seed 2, share 0.6")
 
 
-def test_words_wrap_and_numbers_do_not() -> None:
-    table = Table(
-        "", (key_column("Name"), Column("Value"), word_column("Note")), (("a", 1.5, "word " * 60),)
-    )
-    lines = lines_of(table, 80)
-    assert max(map(len, lines)) <= 80
-    assert " ".join(lines).count("word") == 60
-
-
 @pytest.mark.parametrize(
     ("cell", "text"),
     [
@@ -69,14 +60,6 @@ def test_cells_as_text(cell: float | str | None, text: str) -> None:
     table = Table("", (key_column("Value"),), ((cell,),))
     assert table.texts() == [(text,)]
     assert text in " ".join(lines_of(table, 80))
-
-
-def test_a_column_that_says_nothing_is_not_printed_but_is_in_the_json() -> None:
-    columns = (key_column("Case"), Column("Energy"), Column("Score"), word_column("Note"))
-    table = Table("", columns, (("a", 1.0, None, ""), ("b", None, nan, "")))
-    heading = lines_of(table, 80)[1]
-    assert heading.split() == ["Case", "Energy"]
-    assert [*json_rows(table)[0]] == ["Case", "Energy", "Score", "Note"]
 
 
 def test_json_has_all_digits_and_no_nan() -> None:

@@ -66,13 +66,6 @@ def test_a_share_of_a_run_at_night_is_refused() -> None:
     assert found.startswith("commitment: expected")
 
 
-def test_the_window_of_the_mean_is_in_seconds_whatever_the_cycle() -> None:
-    available_kw = 1000.0 + 100.0 * np.sin(np.arange(120.0))
-    settings = BelowAvailable(share=0.8, window_s=50.0)
-    found = committed(settings, available_kw, cycles(120, "10s"))
-    np.testing.assert_allclose(found[60], 0.8 * available_kw[58:63].mean())
-
-
 # Schedules ----------------------------------------------------------------------------------------
 
 SCHEDULE = """\
@@ -91,13 +84,6 @@ def scheduled(folder: Path, text: str = SCHEDULE, times: pd.DatetimeIndex | None
 
 def test_a_schedule_holds_from_one_time_stamp_to_the_next(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scheduled(tmp_path), [1000.0, 1000.0, 2000.0, 2000.0, 1500.5])
-
-
-def test_the_last_power_holds_as_long_as_the_one_before(tmp_path: Path) -> None:
-    late = cycles(5, begin=NOON + pd.Timedelta(1, unit="s"))
-    assert scheduled(tmp_path, times=late)[-1] == 1500.5
-    too_late = cycles(5, begin=NOON + pd.Timedelta(2, unit="s"))
-    assert "2010-04-01T22:00:06Z" in complaint_of(scheduled, tmp_path, SCHEDULE, too_late)
 
 
 def test_all_times_out_of_order_are_told_at_once(tmp_path: Path) -> None:

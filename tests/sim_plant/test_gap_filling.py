@@ -55,15 +55,6 @@ def test_values_that_are_there_stay_to_the_last_bit() -> None:
     np.testing.assert_array_equal(given, ghi_wm2)
 
 
-def test_the_three_nearest_that_have_a_value_serve_and_farther_ones_in_their_stead() -> None:
-    ghi_wm2 = np.full((3, 6), 500.0)
-    ghi_wm2[1:, 0] = NAN
-    ghi_wm2[:, 5] = 9.0  # F is the farthest: it serves only where a nearer one is missing too.
-    ghi_wm2[2, 1] = NAN
-    found = filled(ghi_wm2, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
-    np.testing.assert_allclose(found[1:, 0], [500.0, 500.0])
-
-
 def test_where_no_sensor_has_a_value_each_draws_a_line_in_time() -> None:
     ghi_wm2 = np.array([[100.0, 10.0], [NAN, NAN], [NAN, NAN], [400.0, 40.0]])
     found = fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 1.0]))

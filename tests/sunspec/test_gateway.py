@@ -18,7 +18,7 @@ from bus_schemas.messages import Command
 from sim_plant.real_inverters import Reading
 from sunspec.addresses import parse_address
 from sunspec.gateway import Gateway
-from sunspec.limited_inverter import LimitedInverter, LimitSettings
+from sunspec.limited_inverter import LimitedInverter
 from sunspec.pipes import PlantPipes
 from sunspec.process import read_accounts
 from sunspec.server import Sky, served
@@ -125,28 +125,3 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
         running.__exit__(None, None, None)
     (account,) = read_accounts(tmp_path)
     assert (account.breaks, account.gone_s) == (1, None)
-
-
-class Busy(LimitedInverter):
-    """It fails at the first limit."""
-
-    was_limited = False
-
-    def apply(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
-        self.was_limited, first = True, not self.was_limited
-        if first:
-            raise RuntimeError
-        super().apply(settings, at, renews=renews)
-
-
-def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path: Path) -> None:
-    with (
-        one_inverter(kind=Busy) as addresses,
-        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, messages),
-    ):
-        devices.command(0, command(0, 30.0))
-        eventually(lambda: any(messages))
-        devices.command(0, command(1, 30.0))
-        eventually(lambda: newest(devices).power_kw == 30.0)
-    (account,) = read_accounts(tmp_path)
-    assert (account.refused, account.breaks) == (1, 0)

@@ -87,16 +87,6 @@ def test_the_last_change_is_expected_to_go_on_damped() -> None:
     assert found.spread_kw == pytest.approx(spread_kw)
 
 
-@pytest.mark.parametrize("cycle_s", CYCLES_S)
-def test_a_change_that_never_goes_on_is_not_expected_to(cycle_s: float) -> None:
-    """Clouds that pass within a cycle: what fell rises again."""
-    times = round(30 / min(cycle_s, 1.0))
-    passing = measured(*[40.0, 80.0] * times, cycle_s=cycle_s)
-    assert passing.power_kw == pytest.approx(80.0, abs=1.0)
-    moving = measured(*[40.0 + 30.0 * math.sin(0.05 * k) for k in range(times)], cycle_s=cycle_s)
-    assert abs(moving.power_kw - moving.maximum_kw) > 0.7 * abs(moving.trend_kw_per_s) * cycle_s
-
-
 def test_asked_for_all_it_has_it_is_held_near_its_forecast_and_asked_for_more_it_is_free() -> None:
     known = measured(40.0, 50.0)
     held = held_kw(known.power_kw, RATING_KW, known)
@@ -246,30 +236,9 @@ def test_noise_does_not_refute_an_inverter_that_states_more_than_its_limit(
     assert known.meter.stated_share == learned, "held by its limit it shows nothing of it"
 
 
-def test_a_statement_that_a_reading_refutes_is_not_believed_but_foretells_no_fall() -> None:
-    known = forecast(80.0, RATING_KW, NOTHING_KNOWN, available_kw=80.0)
-    refuted = forecast(30.0, 40.0, known, available_kw=80.0)
-    assert (refuted.power_kw, refuted.is_stated) == (30.0, False)
-
-
 def test_just_below_the_limit_of_an_inverter_that_is_asked_for_all_it_has_is_its_maximum() -> None:
     # Held a little above its forecast, 1 % below that limit is where its maximum is expected.
     known = measured(40.0)
     assert forecast(39.9, held_kw(40.0, RATING_KW, known), known).is_seen
     # With far more than it is asked for, the same reading is the meter's error.
     assert not forecast(39.9, 40.3, measured(80.0)).is_seen
-
-
-@pytest.mark.parametrize("bias", [0.05, -0.05])
-def test_the_bias_of_a_stated_power_is_learned_where_no_limit_holds_the_inverter(
-    bias: float,
-) -> None:
-    stated_kw, known = 60.0 * (1.0 + bias), NOTHING_KNOWN
-    first = forecast(40.0, 40.0, known, available_kw=stated_kw)
-    assert first.maximum_kw == stated_kw
-    for _ in range(100):
-        known = forecast(60.0, RATING_KW, known, available_kw=stated_kw)
-    held = forecast(40.0, 40.0, known, available_kw=stated_kw)
-    assert held.maximum_kw == pytest.approx(60.0, rel=1e-3)
-    dark = forecast(0.0, RATING_KW, held, available_kw=0.0)
-    assert dark.meter.stated_share == held.meter.stated_share, "at night nothing is learned"

@@ -83,13 +83,6 @@ def test_an_independent_reader_finds_time_trigger_powers_order_and_outage(run: P
     assert not any(channel(record, "frequency response"))
 
 
-def test_a_window_at_the_edge_is_shorter_and_an_outage_outside_has_no_channel(run: Path) -> None:
-    record = exported(run, "--at", "c2", "--window", f"{5 * PLAN.timing.cycle_s}")
-    assert record.total_samples == 8
-    assert record.trigger_time == pytest.approx(2 * PLAN.timing.cycle_s)
-    assert record.status_channel_ids == ["order in force", "frequency response"]
-
-
 def test_cycles_that_the_plant_did_not_complete_are_unknown(tmp_path: Path) -> None:
     kept = (
         (port, message)

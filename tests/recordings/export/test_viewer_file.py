@@ -14,9 +14,8 @@ from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 from mcap.records import Channel, Schema
 from mcap.records import Message as McapMessage
-from recording_by_hand import PLAN, written
+from recording_by_hand import written
 
-from bus_schemas.errors import InputError
 from bus_schemas.signals import DISPATCH, RESIDUAL, SIGNALS, Signal
 from recordings.export.exporting import export
 from recordings.export.mcap_copies import Clock, ViewerFile, object_schema
@@ -150,15 +149,3 @@ def test_what_the_layout_beside_the_export_shows_is_in_it(
     for topic, _, field in (path.rpartition(".") for path in paths):
         assert field in json.loads(topics[topic].data)["properties"]
     assert bool(paths) == (RESIDUAL not in signals)
-
-
-def test_the_export_carries_the_scenario_and_is_not_taken_for_a_recording(run: Path) -> None:
-    path = viewer_file(run)
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        attached = {entry.name: entry.data for entry in reader.iter_attachments()}
-        (metadata,) = reader.iter_metadata()
-    assert attached == {"scenario.toml": b'title = "by hand"\n', "plan.json": PLAN.as_json()}
-    assert metadata.metadata["run.run_id"] == PLAN.run_id
-    with pytest.raises(InputError, match="no recording of a heliarch run"):
-        RunReader(path)

@@ -60,15 +60,6 @@ def test_every_message_is_counted_and_nothing_is_missing(look: Look) -> None:
     assert overview.whole
 
 
-def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(look: Look) -> None:
-    overview = look()
-    impp = count_of(overview, "impp")
-    assert (impp.nodes, impp.per_cycle) == (7, 7.0)
-    assert impp.per_s == pytest.approx(7 * CYCLES / overview.wall_s)
-    # The central controller speaks to its two children in every second cycle only.
-    assert count_of(overview, "setpoint").per_cycle == 4 + 2 / 2
-
-
 def test_a_silent_agent_leaves_a_gap_in_cycles_and_none_in_numbers(look: Look) -> None:
     overview = look(
         is_published=lambda pair: not (pair[1].source == "c2/c" and 20 <= pair[1].cycle < 30)

@@ -30,15 +30,6 @@ def test_a_moment_is_the_cycle_that_it_lies_in(moment: str | int, cycle: int) ->
     assert CLOCK.cycle(moment, "--from") == cycle
 
 
-def test_the_text_of_a_cycle_names_it() -> None:
-    for cycle in (0, 59, 999):
-        assert CLOCK.cycle(CLOCK.text(cycle), "--from") == cycle
-        assert CLOCK.cycle(CLOCK.local(cycle).isoformat(), "--from") == cycle
-    short = RunClock(with_changes(PLAN, cycle_ns=100_000_000), last_cycle=99)
-    assert [short.text(cycle) for cycle in (0, 1)] == ["12:00:00.000", "12:00:00.100"]
-    assert short.cycle("12:00:02.5", "--from") == short.cycle("2.5s", "--from") == 25
-
-
 def test_a_time_of_day_is_the_first_one_in_the_run_also_after_midnight() -> None:
     late = with_changes(PLAN, start_time_ns=PLAN.timing.start_time_ns + 11 * 3600 * 10**9)  # 23:00
     clock = RunClock(late, last_cycle=2 * 3600 - 1)
@@ -47,17 +38,6 @@ def test_a_time_of_day_is_the_first_one_in_the_run_also_after_midnight() -> None
     clock = RunClock(PLAN, last_cycle=30 * 3600)
     assert clock.cycle("13:00", "--from") == 3600
     assert clock.cycle("2010-04-02T13:00:00", "--from") == 25 * 3600
-
-
-def test_a_local_time_that_comes_twice_is_the_one_in_the_run() -> None:
-    begins_ns = (
-        1_382_835_600 * 10**9
-    )  # 02:00 in Berlin on 27 October 2013, after the clocks went back.
-    berlin = with_changes(PLAN, start_time_ns=begins_ns, timezone="Europe/Berlin")
-    assert RunClock(berlin, last_cycle=3599).cycle("02:10", "--from") == 600
-    before = with_changes(berlin, start_time_ns=begins_ns - 3600 * 10**9)
-    assert RunClock(before, last_cycle=7199).cycle("02:10", "--from") == 600
-    assert RunClock(before, last_cycle=7199).cycle("2013-10-27T02:10:00+01:00", "--from") == 4200
 
 
 def test_a_span_ends_before_its_end() -> None:
@@ -69,11 +49,6 @@ def test_a_span_ends_before_its_end() -> None:
         == CLOCK.span(998, "cycle 1000")
         == range(998, 1000)
     )
-
-
-def test_a_recording_without_a_cycle_has_no_end_before_its_beginning() -> None:
-    with pytest.raises(InputError, match="a time of the run, of which no cycle was recorded, got"):
-        RunClock(PLAN, last_cycle=-1).cycle(0, "--cycle")
 
 
 OUTSIDE = "a time of the run, which goes from 2010-04-01 12:00:00 to 2010-04-01 12:16:39 HST (cycle"

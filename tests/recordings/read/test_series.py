@@ -15,7 +15,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch, Production
 from recordings.read.reader import RunReader
-from recordings.read.series import RunSeries, SeriesCollector, plant_series_of, series_of
+from recordings.read.series import RunSeries, SeriesCollector, series_of
 from results.figures import run_figures
 
 CYCLES = 30
@@ -100,12 +100,3 @@ def test_statements_of_the_plant_on_meter_and_lost_inverters_count(
     series = collector.series("")
     assert set(series.delivered_kw) == {delivered_kw}
     assert run_figures(series)["unknown-energy"] == pytest.approx(15.0 * CYCLES / 3600)
-
-
-def test_figures_of_merit_of_the_plant_are_the_same_without_the_controllers_messages(
-    tmp_path: Path,
-) -> None:
-    whole = run_figures(recorded(tmp_path))
-    no_help = {name: None for name in whole if name.startswith("outside-help")}
-    with RunReader(tmp_path) as reader:
-        assert run_figures(plant_series_of(reader)) == whole | no_help

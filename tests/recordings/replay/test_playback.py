@@ -12,16 +12,16 @@ import pytest
 from clock_by_hand import ClockByHand
 from replayed_runs import CYCLE_NS, PLAN, run_in_memory, write
 
-from agents.plan import RunPlan, changed
+from agents.plan import changed
 from agents.process.interruption import Interruption
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
-from bus_schemas.signals import IMPP, Port
+from bus_schemas.signals import Port
 from heliarch.cli.live_view import StatusLine
-from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.replay.playback import Playback
-from recordings.replay.schedule import PlaybackClock, positions
+from recordings.replay.schedule import PlaybackClock
 
 SAID = run_in_memory()
 IN_REAL_TIME = changed(PLAN, timing={"cycle_wall_ns": CYCLE_NS})
@@ -126,24 +126,3 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) ->
     began_ns = heard.moments_ns[0]
     assert heard.moments_ns == [began_ns + 4 * (time_ns - said_ns[0]) for time_ns in said_ns]
     assert played.latest_us == 0.0
-
-
-PUBLISHED = [(4, 1_000), (4, 1_300), (5, 1_400), (4, 1_350), (5, 1_700), (7, 2_000), (7, 3 * 10**9)]
-
-
-@pytest.mark.parametrize(
-    ("plan", "expected"),
-    [
-        (IN_REAL_TIME, [0, 300, 400, 400, 700, 1_000, 3 * 10**9 - 1_000]),
-        (PLAN, [0, 300, CYCLE_NS, CYCLE_NS, CYCLE_NS + 300, 3 * CYCLE_NS, 4 * CYCLE_NS]),
-    ],
-)
-def test_in_lockstep_a_cycle_begins_at_its_simulated_time(
-    plan: RunPlan, expected: list[int]
-) -> None:
-    records = (
-        RecordedMessage(IMPP.of("c1/a"), cycle, 0, time_ns, time_ns, b"")
-        for cycle, time_ns in PUBLISHED
-    )
-    found = [position for position, _ in positions(records, plan)]
-    assert [position - found[0] for position in found] == expected

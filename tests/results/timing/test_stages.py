@@ -92,12 +92,6 @@ def test_a_missed_deadline_is_a_stage_that_names_an_input_it_awaited(tmp_path: P
     assert row(found, "age", "plant apply")[2] == pytest.approx(age_ms, abs=1e-5)
 
 
-def test_an_input_that_comes_while_its_receiver_is_busy_has_no_hop(tmp_path: Path) -> None:
-    slow = {**TIMES_MS, "c1/a/command": (12.4, CYCLE_MS + 2.5)}
-    found = timed(tmp_path, cycle(0, slow), cycle(1))
-    assert row(found, "hop", "telemetry")[0] == 7
-
-
 @pytest.mark.parametrize(
     ("key", "latest_ns", "agent"),
     [
@@ -276,14 +270,6 @@ def test_a_machine_that_stood_still_is_the_cause_and_no_agent(tmp_path: Path) ->
     with RunReader(folder) as reader:
         stopped = stage_table(reader, stops).groupby("cycle").stopped.first()
     assert stopped.to_dict() == pytest.approx({0: 0, 1: 0, 2: 0, 3: 0, 4: 0, 5: 75.0})
-
-
-def test_a_stage_that_awaits_nothing_follows_the_one_before_it(tmp_path: Path) -> None:
-    plan = with_changes(PLAN, period_cycles=(2, 1))
-    slow = slow_from("c2/c/residual", 80.0)
-    late = {key: times for key, times in slow.items() if key not in ("c1/setpoint", "c2/setpoint")}
-    found = timed(tmp_path, *map(cycle, range(5)), cycle(5, late), plan=plan).late
-    assert [(one.cycle, one.culprit) for one in found] == [(5, "c2/c")]
 
 
 # Devices ------------------------------------------------------------------------------------------

@@ -8,15 +8,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from msgspec.structs import replace
 from plans_by_hand import with_changes
 from printing import printed
 from reports_by_hand import LOAD, MISSED, missed, reported, summary_of
 from timed_recordings import PLAN, START_NS, TIMES_MS, cycle, recorded
 
-from agents.process.machine import MachineSettings
 from agents.process.machine_watch import MachineStop
-from results.report.page import html_page
 from results.report.result import print_result
 from results.timing.report import TimingReport, p99_limits_ms, report_on
 from results.timing.results import timing_result
@@ -138,34 +135,6 @@ def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: P
 
 
 # Tables and page ----------------------------------------------------------------------------------
-
-
-def test_processor_time_is_added_up_by_tier(tmp_path: Path) -> None:
-    tiers = reported(tmp_path, cycle(0)).tiers.set_index("tier")
-    # Each process took 1 s of 10 s.
-    cpu = tiers.loc[["direct", "recorder"], ["cpu_percent", "cpu_highest_percent"]]
-    assert cpu.to_numpy().ravel().tolist() == pytest.approx([40.0, 10.0, 10.0, 10.0])
-
-
-def test_the_header_tells_what_was_asked_of_the_machine_and_what_it_refused(tmp_path: Path) -> None:
-    machine = MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7)
-    recorded(tmp_path, cycle(0), plan=with_changes(PLAN, machine=machine))
-    summary = summary_of(tmp_path)
-    summary = replace(summary, remarks=("memory: not locked",))
-    text = text_of(report_on(tmp_path, summary))
-    assert "SCHED_FIFO 7, direct on CPU 1, others on CPU 0" in text
-    assert "memory: not locked" in text
-
-
-def test_the_page_has_the_verdict_first_and_all_rows_and_late_cycles(tmp_path: Path) -> None:
-    page = html_page(timing_result(reported(tmp_path / "kept")))
-    verdict = page.index('<p class="verdict pass">PASS: all ')
-    assert verdict < page.index("2 cycles") < page.index('<section id="histograms"')
-    assert "c2/residual to central" in page
-    failed_page = html_page(timing_result(reported(tmp_path / "late", cycle(0), missed(1))))
-    assert '<p class="verdict fail">FAIL: ' in failed_page
-    assert "not kept: " in failed_page
-    assert "plant closed apply without c2/d/command" in failed_page
 
 
 @pytest.mark.parametrize(
