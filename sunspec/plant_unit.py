@@ -207,7 +207,7 @@ def served_unit(plan: RunPlan, folder: Path, address: str) -> Iterator[str]:
     plant = PlantUnit(plan, folder)
     device = Registers(unit, plant.points, plant.write, _WRITABLE).device
     Thread(target=plant.follow, daemon=True).start()
-    with in_thread(listening([{"plant": device}], host, port)) as addresses:
+    with in_thread(listening({"plant": device}, host, port)) as addresses:
         yield addresses["plant"]
 
 

@@ -5,13 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
-from contextlib import (
-    AbstractAsyncContextManager,
-    AsyncExitStack,
-    asynccontextmanager,
-    contextmanager,
-)
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -61,23 +56,18 @@ def served(
     host: str = "127.0.0.1",
     port: int = 0,
     *,
-    a_port_each: bool = False,
     points: Callable[[LimitedInverter, float], Points] = inverter_points,
 ) -> Iterator[dict[str, str]]:
     """Serve inverters by their paths, and the `meter`, in a thread; gives the addresses by name.
 
     sky: Begins with the first limit, unless it has begun already.
     host, port: Where to listen. Port 0: any that is free.
-    a_port_each: Whether each inverter has its own port instead of its own unit.
     points: Returns the points of an inverter's models at a time.
     """
     names = [*inverters, "meter"]
-    if len(names) > _MOST_UNITS and not a_port_each:
-        raise InputError.of(
-            "inverters",
-            f"expected up to {_MOST_UNITS - 1} at one port, got {len(inverters)}; "
-            "--base-port gives each a port of its own",
-        )
+    if len(names) > _MOST_UNITS:
+        expected = f"expected up to {_MOST_UNITS - 1} at one port"
+        raise InputError.of("inverters", f"{expected}, got {len(inverters)}")
 
     def begin_sky() -> None:
         sky.began_at = now() if sky.began_at is None else sky.began_at
@@ -87,11 +77,7 @@ def served(
             return meter_device(unit, inverters.values(), now)
         return inverter_device(unit, name, inverters[name], now, begin_sky, points)
 
-    at_each_port = [[name] for name in names] if a_port_each else [names]
-    devices = [
-        {name: device(unit, name) for unit, name in enumerate(names, start=1)}
-        for names in at_each_port
-    ]
+    devices = {name: device(unit, name) for unit, name in enumerate(names, start=1)}
     with in_thread(listening(devices, host, port)) as addresses:
         yield addresses
 
@@ -116,24 +102,18 @@ def in_thread(context: AbstractAsyncContextManager[T]) -> Iterator[T]:
 
 @asynccontextmanager
 async def listening(
-    devices: Iterable[dict[str, SimDevice]], host: str, port: int
+    devices: Mapping[str, SimDevice], host: str, port: int
 ) -> AsyncIterator[dict[str, str]]:
-    """Serve devices at one port after the other; gives their addresses."""
-    addresses = {}
-    async with AsyncExitStack() as servers:
-        for number, its_devices in enumerate(devices):
-            wanted = port + number if port else 0
-            server = ModbusTcpServer([*its_devices.values(), no_unit()], address=(host, wanted))
-            servers.push_async_callback(server.shutdown)
-            try:
-                await server.serve_forever(background=True)
-            except (RuntimeError, OverflowError):  # No port is above 65535.
-                expected = "an address and free port of this machine"
-                got = f"{host} port {wanted}"
-                raise InputError.of("--address", f"expected {expected}, got {got}") from None
-            transport = server.transport
-            assert isinstance(transport, asyncio.Server)
-            found = transport.sockets[0].getsockname()[1]
-            for name, device in its_devices.items():
-                addresses[name] = f"modbus://{host}:{found}/{device.id}"
-        yield addresses
+    """Serve devices at one port; gives their addresses by name."""
+    server = ModbusTcpServer([*devices.values(), no_unit()], address=(host, port))
+    try:
+        await server.serve_forever(background=True)
+    except (RuntimeError, OverflowError):  # No port is above 65535.
+        expected = "an address and free port of this machine"
+        raise InputError.of("--address", f"expected {expected}, got {host} port {port}") from None
+    try:
+        assert isinstance(server.transport, asyncio.Server)
+        found = server.transport.sockets[0].getsockname()[1]
+        yield {name: f"modbus://{host}:{found}/{device.id}" for name, device in devices.items()}
+    finally:
+        await server.shutdown()

@@ -5,19 +5,15 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from math import inf
-from typing import Annotated, Final
+from typing import Annotated
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
-from bus_schemas.errors import InputError
 from heliarch.cli.options import Data, Port, Scenario, Settings, changed_scenario
 from heliarch.cli.output import Output
 from scenarios.elsewhere import read_address
 from scenarios.run_options import RunOptions, Seed, TimeOptions
 from sunspec.limited_inverter import LimitedInverter
-
-_PORT: Final = 5020
 
 
 def inverters(
@@ -25,8 +21,7 @@ def inverters(
     /,
     *,
     address: Annotated[str, Parameter(metavar="ADDRESS")] = "127.0.0.1",
-    port: Port = _PORT,
-    base_port: Annotated[Port | None, Parameter(validator=Number(gte=1))] = None,
+    port: Port = 5020,
     wait: bool = False,
     seed: Seed = None,
     settings: Settings = None,
@@ -46,14 +41,10 @@ def inverters(
     address
         Address at which to listen; 0.0.0.0 is for other hosts too.
     port
-        One port, with a unit for each inverter.
-    base_port
-        Instead, a port for each inverter, from this port on; all are unit 1.
+        Port at which to listen, with a unit for each inverter.
     wait
         Let the clouds stand still until the first limit is written.
     """
-    if base_port is not None and port != _PORT:
-        raise InputError.of("--port", "expected no --base-port with it")
     read_address(address)
     from scenarios.preparation import prepare
     from sunspec.server import Sky, served
@@ -71,8 +62,7 @@ def inverters(
             follows.delay_s or 0.0,
             follows.ramp_percent_per_s or inf,
         )
-    output, first_port, a_port_each = Output(), base_port or port, base_port is not None
-    serving = served(simulated, sky, time.monotonic, address, first_port, a_port_each=a_port_each)
+    output, serving = Output(), served(simulated, sky, time.monotonic, address, port)
     with suppress(KeyboardInterrupt), serving as addresses:
         output.say(*(f"--device {name}={where}" for name, where in addresses.items()))
         output.say(f"the sky begins at {prepared.local_start()}")

@@ -164,12 +164,6 @@ def test_the_sky_moves_on_and_may_wait_for_the_first_limit(site: Site) -> None:
     assert watts(device) == 70_000
 
 
-def test_each_inverter_can_have_a_port_of_its_own(site: Site) -> None:
-    addresses = site.serve(a_port_each=True)
-    assert len({parse_address(place, "")[1] for place in addresses.values()}) == 3
-    assert [watts(site.client(name)) for name in ("c1/a", "c1/b")] == [80_000, 60_000]
-
-
 # The gateway's client -----------------------------------------------------------------------------
 
 OLD = (103, 120, 121, 122, 123)

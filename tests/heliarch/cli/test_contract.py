@@ -137,7 +137,6 @@ node --plan nowhere.json --host 127.0.0.2                               nowhere.
 node --plan here.json --host 127.0.0.2                                  --host
 node --plan there.json --host 127.0.0.2 --keys run                      --keys
 inverters small.toml --port -1                                          --port
-inverters small.toml --base-port 65534 --duration 1                     port 65536
 order run 100kW --ramp 0kW/min                                          --ramp
 timing timed --rate 20                                                  --rate
 timing small.toml --rate 0.1..5 --duration 5s                           --duration
