@@ -51,6 +51,7 @@ def summary_table(summary: RunDocument) -> Table:
             _GAP,
             *_process_rows(summary),
         ),
+        summary.remarks,
     )
 
 
