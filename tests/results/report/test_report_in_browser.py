@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from browser import browser, needs_browser
+from replayed_runs import run_in_memory, write
 from synthetic_runs import cloudy_run, without_estimates
 
 from results.report.page import html_page
-from results.report.run_report import runs_result
+from results.report.run_report import runs_result, write_run_report
 from results.report.tables import figures_tables
 
 pytestmark = needs_browser
@@ -50,4 +51,16 @@ def test_a_browser_draws_every_figure_without_a_complaint(tmp_path: Path) -> Non
                 assert width_px - 260 < plot_px <= min(width_px, 1100), anchor
             assert window.run(CUT) == []
             assert "a <b>label</b> & more" in window.text("body")
+        assert window.problems() == []
+
+
+def test_headline_key_figures_and_the_first_figure_fit_into_one_screen(tmp_path: Path) -> None:
+    write(tmp_path / "run", run_in_memory())
+    with browser(tmp_path) as window:
+        window.narrow(1280)
+        window.open(write_run_report(tmp_path / "run").as_uri())
+        window.until("return document.querySelector('#power-plot .main-svg')", "its figure")
+        assert window.box(".headline")[1] < window.box(".key-figures")[1]
+        _, top, _, height = window.box("#power-plot")
+        assert top + height <= 800
         assert window.problems() == []
