@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +15,7 @@ from results.answers import answers_tables
 from results.figures import FIGURES, Figures, Shown, shown_in
 from results.health_lines import counts_text
 from results.report.tables import devices_tables, health_table
-from results.run_document import Outcome, ProcessAccount, RunDocument
+from results.run_document import Outcome, RunDocument
 from results.tables import Cell, Column, Number, Table, key_column, print_table, word_column
 
 Row: TypeAlias = tuple[str, Cell, str, str]
@@ -128,14 +127,5 @@ def _process_rows(summary: RunDocument) -> Iterator[Row]:
     if summary.cycles and cpu_s:
         per_cycle = Number(1e3 * sum(cpu_s) / summary.cycles, 2)
         yield "Processor time per cycle", per_cycle, "ms", "all processes"
-    of_kind: dict[str, list[ProcessAccount]] = {}
-    for process in summary.processes:
-        if process.resident_mb:
-            of_kind.setdefault(process.kind, []).append(process)
-    for kind, processes in of_kind.items():
-        median = f", the median of {len(processes)}" if len(processes) > 1 else ""
-        note = f"resident{median}"
-        if own_mb := [process.own_mb for process in processes if process.own_mb]:
-            note += f"; {statistics.median(own_mb):.1f} MB its own"
-        resident_mb = statistics.median(process.resident_mb for process in processes)
-        yield f"Memory, {kind}", Number(resident_mb, 1), "MB", note
+    if own_mb := [process.own_mb for process in summary.processes if process.own_mb]:
+        yield "Memory", Number(sum(own_mb), 1), "MB", "of their own, all processes"

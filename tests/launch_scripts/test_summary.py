@@ -66,7 +66,7 @@ HALF = dict.fromkeys(FIGURES) | {
         ({"figures": HALF}, "Shortfall", ["0.00", "kWh", "0.000 % of dispatch"]),
         ({"figures": HALF}, "Energy of lost inverters", ["2.0", "kWh", "not among"]),
         ({"processes": BUSY}, "Processor time per cycle", ["2.00", "ms"]),
-        ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2; 9.0 MB its own"]),
+        ({"processes": BUSY}, "Memory", ["9.0", "MB", "all processes"]),
         ({}, "Cycle rate", ["360.0"]),
         ({}, "Offset", ["80.0", "kW", "aimed above the dispatch"]),
         ({"cycles": 9}, "Cycles", ["9", "", "ended early, after 9 of 3,600 cycles"]),
