@@ -302,8 +302,12 @@ def _run(
     asked, began_at = _options(options), time.monotonic()
     with _nowhere() as console:
         summary, folder = carry_out(file, asked, _folder(out), console, began_at, server)
-    folder.write_summary(summary.as_json())
-    for failure in summary.failures():
+    failures = [*summary.failures()]
+    try:
+        folder.write_summary(summary.as_json())
+    except OSError as error:  # A full disk: the figures are in the recording.
+        failures.append(str(error))
+    for failure in failures:
         warnings.warn(failure, InputWarning, stacklevel=3)
     return open_run(folder.path)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from command_line import python
 from running import Heliarch, Start
 from verifying import first_differences
 
@@ -150,3 +151,14 @@ def test_a_full_disk_costs_neither_figures_nor_counts(
     for row in ("RMSE", "Messages"):
         assert re.search(rf"{row}.*\d", run.stdout), f"{row}: {run.stdout}"
     assert re.search(r"Missing +[1-9][\d,]* messages not recorded", run.stdout)
+
+
+def test_a_full_disk_costs_a_program_no_figures(small_disk: Path, plant: str) -> None:
+    code = """
+import sys, heliarch
+run = heliarch.simulate(sys.argv[1], duration="3h", out=sys.argv[2])
+print(run.metrics["rmse"] > 0.0)
+"""
+    done = python(code, plant, small_disk / "run")
+    assert done.stdout.strip() == "True", done.stderr
+    assert "summary.json" in done.stderr
