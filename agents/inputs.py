@@ -134,7 +134,6 @@ class Inputs:
 
     dropped: Messages that were not used, by port and cause.
     missing: Awaited inputs that had not come by a deadline.
-    old: Used inputs that were older than they should have been.
     given_up: Inputs of agents that do not come back: no stage awaits them.
     orders: Orders since the last stage that uses them, in the order in which they came.
     """
@@ -153,7 +152,6 @@ class Inputs:
         }
         self.dropped: Counter[tuple[str, str]] = Counter()
         self.missing = 0
-        self.old = 0
         self.given_up: set[Port[Message]] = set()
         self.orders: list[Order] = []
         self._order_bounds = bounds_of(Order, plan.tree.rating_kw(ROOT))
@@ -235,7 +233,6 @@ class Inputs:
                 if age > self._hold_cycles:
                     message = None
                 elif age > 0:
-                    self.old += 1
                     missing.append(str(Missing(str(port), message.cycle)))
             if message is None:
                 missing.append(str(port))

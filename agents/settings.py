@@ -23,7 +23,6 @@ Actuator: TypeAlias = Literal["fraction", "limit"]
 StorageHelp: TypeAlias = Literal["last", "first"]
 """`last`: what inverters cannot give. `first`: also what they could give, until they do."""
 
-
 _MOST_DOUBLINGS = 60
 """Of a wait; any such wait is longer than `within_s` allows."""
 

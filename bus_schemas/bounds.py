@@ -33,13 +33,11 @@ _LEAST_NORMAL: Final = sys.float_info.min
 LARGEST: Final = 1e30
 """Multiple of the rating up to which an operator may ask for too much: any finite number."""
 
-
 _CLEAR_SKY: Final = 2.0
 """Highest power under a clear sky: modules may be larger than their inverters."""
 
 _MEMORY: Final = 2.0
 """Largest power, also below 0, in what a central controller remembers."""
-
 
 _TRIED: Final = 100.0
 """Largest root of the sum of squares of what it has tried, in 10 minutes of the shortest cycles."""

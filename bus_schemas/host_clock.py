@@ -11,7 +11,6 @@ log = logging.getLogger(__name__)
 _DRIFT: Final = 10_000
 """Clocks of two hosts drift apart by less than one part in this number."""
 
-
 CLOCK_BYTES: Final = 16
 
 

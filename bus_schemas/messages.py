@@ -19,7 +19,6 @@ from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...], int, int, int, int]
 """The head of a message, in the order of its fields. The bus sets publish time and sequence."""
 
-
 PROTOCOL: Final = 4
 """Version of all that docs/wire.md says. Plan and `run` state it."""
 

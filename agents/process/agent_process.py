@@ -51,7 +51,6 @@ closed."""
 _STOP_PATIENCE_S: Final = 10.0
 """How long a controller waits after its last cycle for the plant to end the run."""
 
-
 _STAY_S: Final = 3.0
 _STAY_LOOK_S: Final = 0.05
 """How long an agent on another host stays on the bus after the run, and how often others check

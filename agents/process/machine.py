@@ -29,7 +29,6 @@ _SET_PARENT_DEATH_SIGNAL: Final = 1
 _SET_TIMER_SLACK: Final = 29
 """PR_SET_TIMERSLACK of prctl(2)."""
 
-
 _FILES: Final = 40
 """Files that a process has open beside its links: Zenoh's, its log, the recording."""
 
