@@ -183,9 +183,6 @@ BUGS: Final[dict[str, Bug]] = {
     "a child gives what its sibling should": Bug(
         "agents.control.allocation:allocate", _then(_moved)
     ),
-    "a share ignores the bounds of the dispatch": Bug(
-        "agents.control.share:usable_dispatch_kw", lambda right: lambda kw, rating_kw: kw
-    ),
     "the correction has no bound": Bug(
         "agents.control.correction:corrected",
         _with(law=lambda v: v["law"]._replace(rating_kw=100.0 * v["law"].rating_kw)),
@@ -198,15 +195,8 @@ BUGS: Final[dict[str, Bug]] = {
             )
         ),
     ),
-    "the correction does not know the ramp": Bug(
-        "agents.control.correction:corrected",
-        _with(law=lambda v: v["law"]._replace(is_ramped=False)),
-    ),
     "the correction does not know the delay": Bug(
         "agents.control.correction:shown_turns", _always(1)
-    ),
-    "a forecast takes cycles for seconds": Bug(
-        "agents.control.forecast:forecast_impp", _with(cycle_s=1.0)
     ),
     "a hidden maximum is not probed": Bug(
         "agents.control.forecast:forecast_impp",
@@ -222,15 +212,6 @@ BUGS: Final[dict[str, Bug]] = {
     ),
     "a lost inverter is lost a cycle late": Bug(
         "agents.control.impp:is_lost", _with(hold_cycles=lambda v: v["hold_cycles"] + 1)
-    ),
-    "an inverter is curtailed below its floor": Bug(
-        "agents.control.impp:curtailment_level", _with(alpha_min=1e-9)
-    ),
-    "the plant's ramp limits are those of minutes": Bug(
-        "agents.control.grid:ramped_kw", lambda right: lambda last_kw, dispatch_kw, law: dispatch_kw
-    ),
-    "the response goes beyond the reserve": Bug(
-        "agents.control.grid:response_kw", _with(law=lambda v: v["law"]._replace(reserve_kw=1e9))
     ),
     "losses do not grow with the power": Bug(
         "agents.control.grid:net_kw", _with(law=lambda v: v["law"]._replace(loss_per_kw=0.0))
@@ -258,10 +239,6 @@ BUGS: Final[dict[str, Bug]] = {
         "agents.plan:PlannedOrder.cycle", _then(lambda cycle, *_: cycle + 1)
     ),
     # Processes
-    "a process is given up too early": Bug(
-        "agents.settings:RestartPolicy.wait_s",
-        lambda right: lambda self, earlier_s, now_s: right(replace(self, most=2), earlier_s, now_s),
-    ),
     "a new process joins two cycles late": Bug(
         "agents.loop:Loop.begin",
         _with(cycle=lambda v: v["cycle"] + 2 if v.get("cycle") else 0),
@@ -269,7 +246,6 @@ BUGS: Final[dict[str, Bug]] = {
     "a replaced process is heard": Bug("agents.inputs:Inputs.take", _hears_all),
     "inputs are held a cycle longer": Bug("agents.inputs:Inputs.__init__", _holds_longer(1)),
     "who thaws goes through each cycle": Bug("agents.loop:Loop.catch_up", _always(False)),
-    "parents act in every cycle": Bug("agents.cycle:Periods.is_turn", _always(True)),
 }
 
 assert RestartPolicy().most > 2
