@@ -15,7 +15,7 @@ from served import growing_run
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Notice, Production, Telemetry
-from bus_schemas.signals import NOTICE, PRODUCTION, RUN, TELEMETRY
+from bus_schemas.signals import NOTICE, PRODUCTION, TELEMETRY
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState
@@ -113,16 +113,6 @@ def test_missing_messages_are_shown_as_missing(tmp_path: Path) -> None:
     assert ("cut off", 5, "c2/c") in kinds(follower)
 
 
-def test_a_setpoint_of_a_slow_turn_is_shown_until_the_next_one(tmp_path: Path) -> None:
-    plan = with_changes(PLAN, period_cycles=(60, 1))
-    slow = {"c1/setpoint", "c2/setpoint"}
-    run = [one for one in whole_run(70) if one[1].cycle % 60 == 0 or str(one[0]) not in slow]
-    write_run(tmp_path / "run.mcap", run, plan=plan, messages_per_chunk=35)
-    state = PlantState(followed(tmp_path / "run.mcap"))
-    shown = [state.frame(cycle)["nodes"]["setpoint"][number("c1")] for cycle in range(70)]
-    assert shown == [120.0] * 70
-
-
 def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path: Path) -> None:
     path, telemetry = tmp_path / "run.mcap", TELEMETRY.of("c2/c")
     plan = with_changes(PLAN, devices=(("c2/c", "modbus://10.0.0.7:502/1"),))
@@ -138,14 +128,6 @@ def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path:
     assert {event.count for event in follower.events} == {1}
     state = PlantState(follower)
     assert [state.frame(cycle)["unread"] for cycle in (4, 5)] == [[], [number("c2/c")]]
-
-
-def test_a_stop_that_the_plant_contradicts_does_not_end_the_run(tmp_path: Path) -> None:
-    (start, *cycles, stop), told = whole_run(9), (RUN.of(ROOT), PLAN.run_message("stop", 4, 1))
-    runs = {"running": [start, told, *cycles, told], "interrupted": [start, told, *cycles, stop]}
-    for state, deliveries in runs.items():
-        write_run(tmp_path / state, deliveries, close=False)
-        assert followed(tmp_path / state).state == state
 
 
 def test_repeated_notices_are_one_event_with_a_count(tmp_path: Path) -> None:

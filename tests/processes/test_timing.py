@@ -10,7 +10,7 @@ from typing import Any
 import command_line
 import pandas as pd
 import pytest
-from running import Start, assert_none_left, small_plant
+from running import assert_none_left, small_plant
 
 from heliarch import open_run
 
@@ -64,12 +64,3 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert written.published.tolist() == pytest.approx(table.published.tolist(), nan_ok=True)
     assert written.stopped.notna().all()
     assert_none_left(folder)
-
-
-def test_measurements_up_to_an_interruption_are_reported(heliarch: Start, plant: str) -> None:
-    run = heliarch("timing", plant, "--rate", "10", "--duration", "10m")
-    run.until_running()
-    assert run.interrupt() == 130, run.error_text()
-    printed = run.output.read_text(encoding="utf-8")
-    assert "interrupted" in printed
-    assert "Decision [" in printed

@@ -31,17 +31,6 @@ def score_of(
     return found
 
 
-def parts(score: dict[str, float]) -> tuple[float, float, float]:
-    return score["accuracy"], score["delay"], score["precision"]
-
-
-@pytest.mark.parametrize("share", [1.0, 0.0])
-def test_a_response_that_is_the_signal_scores_1_and_none_scores_0(share: float) -> None:
-    signal = random_signal(HOUR)
-    found = score_of(signal, share * signal)
-    assert (*parts(found), found["score"]) == pytest.approx((share,) * 4)
-
-
 @pytest.mark.parametrize(("late_s", "delay"), [(0, 1.0), (10, 1.0), (20, 1 - 20 / 300), (150, 0.5)])
 def test_a_late_response_costs_delay_beyond_the_10_s_that_the_signal_may_travel(
     late_s: int, delay: float

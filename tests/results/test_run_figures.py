@@ -212,13 +212,6 @@ def test_cycles_with_a_message_missing_do_not_count(fields: tuple[str, ...]) -> 
     assert [found[name] for name in same] == pytest.approx([whole[name] for name in same])
 
 
-@pytest.mark.parametrize("fields", [(), PRODUCTION])
-def test_a_run_without_a_known_cycle_is_refused(fields: tuple[str, ...]) -> None:
-    run = without(run_of([1.0], [1.0], [1.0]), slice(None), *fields) if fields else run_of([], 1, 1)
-    with pytest.raises(ValueError, match="expected a cycle with dispatch and production, got none"):
-        run_figures(run)
-
-
 # Help, on two clusters of two ---------------------------------------------------------------------
 
 INVERTERS = ("c1/a", "c1/b", "c2/c", "c2/d")

@@ -142,13 +142,6 @@ def a_day(lat: float = 35.05, lon: float = -106.5) -> pd.DataFrame:
     return pd.DataFrame(clear * clouds, times, ["p1", "p2", "p3"])
 
 
-def test_plausible_irradiance_raises_no_doubt(tmp_path: Path) -> None:
-    assert doubts(tmp_path, a_day()) == ""
-    brighter = a_day()
-    brighter.iloc[150:152] *= 1.25  # The edge of a cloud.
-    assert doubts(tmp_path, brighter) == ""
-
-
 def test_local_times_with_z_and_swapped_coordinates_are_seen(tmp_path: Path) -> None:
     local = a_day().shift(freq="-6h")
     assert "are these local times?" in doubts(tmp_path, local.iloc[140:180])

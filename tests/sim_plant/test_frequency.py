@@ -41,8 +41,3 @@ def test_each_value_of_a_file_holds_until_the_next_one(tmp_path: Path) -> None:
     assert "frequency.csv" in complaint_of(seen, settings, 7)
     path.write_text("s,hz\n0,50\n2,5\n4,50.1\n")
     assert "from 10 to 110" in complaint_of(seen, settings, 4)
-
-
-def test_a_step_is_there_at_once_and_gone_at_once() -> None:
-    step = FrequencyEvent(at=2.0, depth_hz=-0.2, duration_s=3.0, step=True)
-    assert seen(FrequencyEvents(events=(step,)), 7) == [50.0, 50.0, 49.8, 49.8, 49.8, 50.0, 50.0]

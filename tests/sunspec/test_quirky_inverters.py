@@ -298,12 +298,6 @@ def test_a_limit_is_only_written_if_it_differs_by_the_step_of_the_register(tmp_p
     assert fine > 10
 
 
-def test_registers_that_wear_out_are_written_no_more_often_than_stated(tmp_path: Path) -> None:
-    with quirky() as device:
-        run(device, tmp_path, limits=lambda cycle: 30.0 + cycle, write_every_s=0.5)
-        assert 2 <= len(device.writes) <= 5
-
-
 def test_without_a_reversion_time_the_key_is_named_and_then_it_works() -> None:
     with quirky(models=integers(limits={"WMaxLimPct_RvrtTms": None})) as device:
         with pytest.raises(DeviceError, match=r"WMaxLimPct_RvrtTms.*revert = false"):

@@ -47,12 +47,6 @@ def test_a_process_runs_on_the_cpus_of_its_kind_or_of_all() -> None:
     assert taken(settings, lockstep=True) == ((), (os.SCHED_BATCH, 0, {first}))
 
 
-def test_a_cpu_that_is_not_there_is_said_and_the_process_goes_on() -> None:
-    (refused,), found = taken(MachineSettings(cpus=(1023,)))
-    assert refused.startswith("CPU 1023: not available (")
-    assert found == place()
-
-
 def test_priority_is_taken_where_the_machine_permits_it_and_what_is_refused_is_said() -> None:
     before = place()
     expected = refusals(MachineSettings(priority=7), lockstep=False)

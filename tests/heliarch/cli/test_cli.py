@@ -157,14 +157,3 @@ def test_the_progress_of_a_run_fits_into_its_terminal_and_cuts_nothing(width: in
     whole = "dispatch 3508 kW", "delivered 3508 kW", "available 4684 kW"
     assert set(powers.split(", ")[1:]) <= set(whole)
     assert helped in {"", "3 nodes", *(listed(names, most) for most in (1, 2, 3))}
-
-
-@pytest.mark.parametrize("has_report", [True, False])
-def test_a_run_ends_with_the_commands_that_look_at_it(
-    plant: str, tmp_path: Path, has_report: bool
-) -> None:
-    more = ["--report"] if has_report else []
-    text = done("simulate", plant, "--duration", "5", "--out", tmp_path / "run", *more)
-    commands = {"view", "inspect"} if has_report else {"view", "report", "inspect"}
-    for command in ("view", "report", "inspect"):
-        assert (f"{command} {tmp_path / 'run'}" in text) == (command in commands)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from math import nan
 from pathlib import Path
-from typing import Any
 
 import pytest
 from memory_runs import Sent
@@ -28,14 +27,13 @@ from agents.settings import RestartPolicy, StorageSettings
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
 from bus_schemas.messages import (
-    Command,
     Dispatch,
     Impp,
     Order,
     Residual,
     parse_missing,
 )
-from bus_schemas.signals import COMMAND, IMPP, ORDER, PRODUCTION
+from bus_schemas.signals import IMPP, ORDER, PRODUCTION
 from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from launch_scripts.simulation import MemoryRun
 from recordings.verify.verification import Verification, verify
@@ -284,27 +282,6 @@ def test_a_device_may_have_an_estimate_of_its_own_but_by_the_paper(
     assert result.differences["differs"] >= len(wrong)
     assert result.first is not None
     assert result.first.message == f"c1/a/{min(wrong)}"
-
-
-def test_a_device_chooses_how_far_above_its_forecast_it_holds_its_inverter(tmp_path: Path) -> None:
-    # So long that it has learned how far the maximum changes, and is not at its rating.
-    long: dict[str, Any] = {"scheme": "predictive", "actuator": "limit", "cycles": 60}
-    plan = faulty_plan(Disturbance(loss=0.02), external=("c1/a",), **long)
-    messages = published(plan, cloudy_profile(plan))
-    rating_kw, held = dict(plan.inverters)["c1/a"], 0
-    for number, (port, message) in enumerate(messages):
-        if (
-            port == COMMAND.of("c1/a")
-            and isinstance(message, Command)
-            and message.alpha == 1.0
-            and message.power_kw < rating_kw
-        ):
-            messages[number] = port, replace(message, power_kw=rating_kw)
-            held += 1
-    assert held
-    assert "c1/a" not in first_differences(verified(tmp_path / "run", plan, messages))
-    ours = verified(tmp_path / "ours", faulty_plan(LATE, **long), messages)
-    assert "c1/a" in first_differences(ours), "our own controllers have no such choice"
 
 
 @pytest.mark.parametrize("scheme", ["paper", "predictive"])

@@ -138,20 +138,6 @@ def test_a_line_of_a_few_points_keeps_peaks_dips_ends_and_gaps() -> None:
     assert cells_kw[0].min() == pytest.approx(-500.0)
 
 
-def test_each_scheme_has_its_column_and_one_colour() -> None:
-    run = cloudy_run("hierarchical", regulation=True)
-    runs = run, without_estimates(run, "no help")
-    figures = figures_of(*runs)
-    names = {"power": "delivered", "regulation": "given"}
-    colours = {trace(figures[at], f"{of}, no help").line.color for at, of in names.items()}
-    assert len(colours) == 1
-    first = trace(figures["power"], "delivered, hierarchical").line.color
-    assert first not in colours
-    heads = page_of(*runs).texts("th")
-    assert heads.count("hierarchical") == heads.count("no help") == 2
-    assert "delivered without help" not in {one.name for one in figures["power"].data}
-
-
 # That it is safe ----------------------------------------------------------------------------------
 
 
@@ -182,12 +168,6 @@ def test_the_page_loads_nothing_and_has_plotly_once() -> None:
 def test_the_library_in_the_page_is_the_one_that_figures_are_written_for() -> None:
     bundled = Path(results.report.__file__).with_name("templates") / "plotly-cartesian.min.js"
     assert f"v{get_plotlyjs_version()}" in bundled.read_text(encoding="utf-8")[:200]
-
-
-def test_the_page_of_an_hour_is_small() -> None:
-    names = tuple(f"c{n % 3}/inv{n:02}" for n in range(17))
-    run = cloudy_run(cycles=3600, inverters=names)
-    assert len(html_page(runs_result("An hour", [run], figures_tables([run]), ()))) < 3_000_000
 
 
 # Incomplete and small runs ------------------------------------------------------------------------
