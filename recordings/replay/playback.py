@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Final, TextIO
@@ -16,7 +16,7 @@ from bus_schemas.signals import Port
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.beside import replay_beside
 from recordings.replay.bus import ReplayBus, StatusLine, await_subscriber, replay_bus, say
-from recordings.replay.schedule import PlaybackClock, in_publish_order, positions
+from recordings.replay.schedule import in_publish_order, positions
 
 _LOOK_S: Final = 0.02
 """How often the user's wish for an end is looked for."""
@@ -69,9 +69,7 @@ def replay_recording(
                     options.end,
                 )
             )
-        playback = Playback(
-            reader, ports, span, bus, PlaybackClock(options.rate), interruption, line
-        )
+        playback = Playback(reader, ports, span, bus, options.rate, interruption, line)
         if options.wait:
             await_subscriber(bus, interruption, out)
         began_at = time.monotonic()
@@ -106,15 +104,17 @@ class Playback:
     ports: Collection[Port[Message]]
     span: range
     bus: ReplayBus
-    clock: PlaybackClock
+    rate: float
     interruption: Interruption
     line: StatusLine
     messages: int = 0
     cycles: int = 0
     latest_us: float | None = None
+    now_ns: Callable[[], int] = time.monotonic_ns
+    sleep: Callable[[float], None] = time.sleep
 
     def __post_init__(self) -> None:
-        self._cycle = -1
+        self._cycle, self._anchor_ns = -1, (0, 0)
 
     def play(self, *, loop: bool = False) -> None:
         """Send all messages; begin again at the end if it is a loop."""
@@ -132,7 +132,7 @@ class Playback:
         is_first = True
         for position_ns, record in positions(records, self.reader.plan):
             if is_first:
-                self.clock.move_to(position_ns)  # A wait for subscribers does not count.
+                self._anchor_ns = position_ns, self.now_ns()
             is_first = False
             while not self._is_due(position_ns):
                 if self.interruption:
@@ -146,25 +146,33 @@ class Playback:
 
     def _is_due(self, position_ns: int) -> bool:
         """Whether the next message is due; if not, wait a little."""
-        left_s = (self.clock.due_ns(position_ns) - self.clock.now_ns()) / 1e9
+        left_s = (self._due_ns(position_ns) - self.now_ns()) / 1e9
         if left_s > 0.0:
-            self.clock.sleep(min(left_s, _LOOK_S))
+            self.sleep(min(left_s, _LOOK_S))
         return left_s <= 0.0
+
+    def _due_ns(self, position_ns: int) -> int:
+        """Return when a position is reached.
+
+        Every time is counted from the first message, so errors do not add up.
+        """
+        began_ns, at_ns = self._anchor_ns
+        return at_ns + round((position_ns - began_ns) / self.rate) if self.rate else at_ns
 
     def _send(self, record: RecordedMessage, position_ns: int) -> None:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
             self.cycles += record.cycle <= self.reader.last_cycle
-            self.bus.announce(record.cycle, rate=self.clock.rate)
+            self.bus.announce(record.cycle, rate=self.rate)
         was_sent = self.bus.put(record.port, record.payload)
         self.messages += was_sent
-        if self.clock.rate and was_sent:
-            late_ns = self.clock.now_ns() - self.clock.due_ns(position_ns)
+        if self.rate and was_sent:
+            late_ns = self.now_ns() - self._due_ns(position_ns)
             self.latest_us = max(late_ns / 1e3, self.latest_us or 0.0)
 
     def _show(self) -> None:
         if self._cycle >= 0:
-            rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
+            rate = f"pace {self.rate:g}" if self.rate else "as fast as possible"
             last_cycle, clock = self.reader.last_cycle, self.reader.clock
             cycle = min(self._cycle, last_cycle)
             at = f"{clock.text(cycle)} cycle {cycle} of 0 to {last_cycle}"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from heapq import heappop, heappush
 from itertools import takewhile
 from typing import Final
@@ -59,34 +58,3 @@ def positions(
             position_ns = plan.timing.sim_time_ns(record.cycle) + elapsed_ns
         last_ns = max(last_ns, position_ns)
         yield last_ns, record
-
-
-class PlaybackClock:
-    """Maps positions to times of the monotonic clock.
-
-    Every time is counted from one anchor, so errors do not add up. Only the beginning of a loop
-    sets a new anchor. The rate is in seconds of the clock per second; at 0 everything is due at
-    once.
-    """
-
-    def __init__(
-        self,
-        rate: float,
-        *,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self.rate = rate
-        self.now_ns = now_ns
-        self.sleep = sleep
-        self._position_ns = 0
-        self._moment_ns = now_ns()
-
-    def move_to(self, position_ns: int) -> None:
-        self._position_ns, self._moment_ns = position_ns, self.now_ns()
-
-    def due_ns(self, position_ns: int) -> int:
-        """Return the monotonic time at which a position is reached [ns]."""
-        if self.rate == 0.0:
-            return self._moment_ns
-        return self._moment_ns + round((position_ns - self._position_ns) / self.rate)

@@ -21,7 +21,6 @@ from heliarch.cli.live_view import StatusLine
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.replay.playback import Playback
-from recordings.replay.schedule import PlaybackClock
 
 SAID = run_in_memory()
 IN_REAL_TIME = changed(PLAN, timing={"cycle_wall_ns": CYCLE_NS})
@@ -81,9 +80,11 @@ def play(
             ports,
             span,
             heard,
-            PlaybackClock(rate, now_ns=heard.clock, sleep=heard.clock.sleep),
+            rate,
             Interruption() if interruption is None else interruption,
             StatusLine(out or io.StringIO(), in_place=False),
+            now_ns=heard.clock,
+            sleep=heard.clock.sleep,
         )
         heard.clock.sleep(waited_s)
         playback.play(loop=loop)
