@@ -47,23 +47,10 @@ def _marks(reader: RunReader, overview: Overview, series: RunSeries) -> Iterator
 
 def mark(figure: go.Figure, series: RunSeries, marks: Sequence[Mark]) -> None:
     """Draw a line at each mark through all panels, with its text to be pointed at."""
-    if not marks:
-        return
     times_ms = style.clock_ms(series)
-    panels = sum(1 for name in figure.layout if name.startswith("yaxis") and figure.layout[name])
     for one in (one for one in marks if one.cycle < series.cycles):
-        for panel in range(1, panels + 1):
-            number = "" if panel == 1 else str(panel)
-            figure.add_shape(
-                type="line",
-                xref=f"x{number}",
-                yref=f"y{number} domain",
-                x0=times_ms[one.cycle],
-                x1=times_ms[one.cycle],
-                y0=0,
-                y1=1,
-                line={"color": one.colour, "width": 1, "dash": "dot"},
-            )
+        line = {"color": one.colour, "width": 1, "dash": "dot"}
+        figure.add_vline(x=times_ms[one.cycle], line=line)
         figure.add_annotation(
             x=times_ms[one.cycle],
             y=1,
