@@ -166,7 +166,8 @@ class ZenohBus:
             self._newest[port] = message
         bundle = self._bundle_of.get(port)
         if bundle is None:
-            self.send_bundles()  # So the recorder knows no less than others.
+            if self._bundled:  # So the recorder knows no less than others.
+                self.send_bundles()
             self._send(port, encode(message))
         else:
             self._bundled.setdefault(bundle, []).append((str(port), message))
