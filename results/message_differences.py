@@ -120,7 +120,8 @@ def _rows(
         return
     one = BIT_FOR_BIT.differences(port, sent[0][0], sent[1][0])[0]
     field, node = _of_inverter(one, port, series)
-    yield f"{port.signal.name}, {field}", node, *where, _cell(one.recorded), _cell(one.new), count
+    a, b = one.recorded, one.new
+    yield f"{port.signal.name}, {field}", node, *where, _cell(a, b), _cell(b, a), count
 
 
 def _of_inverter(one: FieldDifference, port: Port[Message], series: RunSeries) -> tuple[str, str]:
@@ -131,9 +132,12 @@ def _of_inverter(one: FieldDifference, port: Port[Message], series: RunSeries) -
     return one.field, port.node or "plant"
 
 
-def _cell(value: object) -> Cell:
+def _cell(value: object, other: object) -> Cell:
+    """Return a value with as many decimals as it takes to see that the other one differs."""
     if isinstance(value, float):
-        return Number(value, 6)
+        others = other if isinstance(other, float) else value
+        differs = (at for at in range(6, 17) if f"{value:.{at}f}" != f"{others:.{at}f}")
+        return Number(value, next(differs, 6))
     return value if isinstance(value, int) else str(value)
 
 

@@ -124,17 +124,23 @@ def test_a_run_is_equal_to_itself_only_if_all_of_it_could_be_read(run: Path) -> 
     assert "equal as far as compared" in " ".join(answer.output.split())
 
 
-def test_messages_of_every_signal_are_compared(run: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("missing_kw", "shown"), [(1.0, "1.000000"), (20.0000000001, "20.0000000001")]
+)
+def test_messages_of_every_signal_are_compared(
+    run: Path, tmp_path: Path, missing_kw: float, shown: str
+) -> None:
     def with_another_help() -> Iterator[Delivery]:
         for port, message in with_production(20, 7, inverter_power_kw=(40.0, 80.0, 55.0, 59.0)):
             if isinstance(message, Help) and message.cycle == 9:
-                message = msgspec.structs.replace(message, missing_kw=1.0)  # noqa: PLW2901
+                message = msgspec.structs.replace(message, missing_kw=missing_kw)  # noqa: PLW2901
             yield port, message
 
     write_run(tmp_path / "other.mcap", with_another_help())
     answer = heliarch("diff", run, tmp_path / "other.mcap", "--json", "-")
     (row,) = json.loads(answer.stdout)["differences"]
-    assert (row["message"], row["cycle"], row["B"]) == ("help, missing_kw", 9, 1.0)
+    assert (row["message"], row["cycle"], row["B"]) == ("help, missing_kw", 9, missing_kw)
+    assert shown in answer.stderr.split()
     assert answer.exit_code == 1
 
 
