@@ -154,7 +154,7 @@ class RunListener:
 
     def status(self) -> Status:
         """Return where the run stands, and the agents that are unresponsive or not heard yet."""
-        status = self.progress.status(self._writer.recorded.total())
+        status = self.progress.status(self._writer.number_recorded)
         if self.progress.newest_cycle < 0:
             silent = self._arming.never_heard()
             status = replace(

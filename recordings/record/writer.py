@@ -114,6 +114,10 @@ class RunWriter:
             self._end(error)
 
     @property
+    def number_recorded(self) -> int:
+        return self._writer.recorded.total()
+
+    @property
     def recorded(self) -> Counter[str]:
         counts: Counter[str] = Counter()
         for port, channel in self._channels.items():
