@@ -185,7 +185,7 @@ class Parent:
         for donor, asking, kw in zip(donors, needy, given_kw, strict=True):
             help_given[donor] += (HelpGiven(self._children[asking].path, kw),)
         found = {
-            child: Setpoint(
+            child.setpoint: Setpoint(
                 *turn.stamp,
                 power_kw=report.impp_kw if report.is_expired else power,
                 share_kw=share,
@@ -196,12 +196,13 @@ class Parent:
             )
         }
         for child, kw in zip(self._stores, of_stores, strict=True):
-            if child in found:
-                found[child].power_kw += kw
-                found[child].storage_kw = kw
+            if setpoint := found.get(child.setpoint):
+                setpoint.power_kw += kw
+                setpoint.storage_kw = kw
             else:
-                found[child] = Setpoint(*turn.stamp, power_kw=kw, share_kw=0.0, help_given=())
-        return [(child.setpoint, setpoint) for child, setpoint in found.items()]
+                storage = Setpoint(*turn.stamp, power_kw=kw, share_kw=0.0, help_given=())
+                found[child.setpoint] = storage
+        return [*found.items()]
 
 
 def _ability(impp: Impp | None) -> Ability:
@@ -358,7 +359,7 @@ class CentralController(Parent):
     ) -> tuple[CentralState, list[Delivery]]:
         abilities = self.abilities(turn)
         able, is_first = together(abilities), self._control.storage == "first"
-        inverters_kw = asked_kw(target_kw, impp_kw, able)
+        inverters_kw = asked_kw(target_kw, impp_kw, state.correction.error_kw, able)
         course = next_course(state.course, inverters_kw, impp_kw, self._pursuit)
         power_kw = storage_kw(target_kw, impp_kw, course.coming_kw, able, is_first)
         of_stores = _parts_kw(power_kw, abilities)

@@ -170,7 +170,8 @@ class Run:
 
         It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
         `node` and the signal's own fields, with units in their names. The lists inside messages
-        have tables too: `help_given`, `production_inverters`, `given_up_agents`, `missing_inputs`.
+        have tables too: `help_given`, `production_inverters`, `production_storages`,
+        `given_up_agents`, `missing_inputs`.
         """
         (found,) = self.frames(table, nodes=nodes, start=start, end=end).values()
         return found

@@ -95,13 +95,14 @@ def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, 
 
 def _remarks(row: NodeCycle) -> str:
     """Return what has no column: who gave help to whom, missing inputs, notices."""
-    stale = row.values.get("stale_cycles")
+    stale, stored_kwh = row.values.get("stale_cycles"), row.values.get("stored_kwh")
     parts = [
         _help_text("from", row.help_from),
         _help_text("for", row.help_for),
         f"moved {row.moved_kw:.1f}" if row.node == CENTRAL and row.moved_kw else "",
         "need: " + ", ".join(map(_short, row.needy)) if row.needy else "",
         f"stale for {stale}" if stale else "",
+        "" if stored_kwh is None else f"holds {stored_kwh:,.1f} kWh",
         in_words(row.missing),
         *row.notices,
     ]

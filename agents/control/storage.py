@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 CHARGED_SHARE: Final = 0.5
 """Share of the inverters' headroom that storages are charged with: a forecast may be too high."""
 
+KEPT_ERRORS: Final = 8.0
+"""So many times the mean error of the plant's power is no headroom: under a wild sky the
+power that a storage takes would soon be missing."""
+
 
 class StorageLaw(NamedTuple):
     """A storage in numbers, in cycles of a length.
@@ -108,9 +112,12 @@ class Course(NamedTuple):
     coming_kw: float
 
 
-def asked_kw(target_kw: float, impp_kw: float, able: Ability) -> float:
-    """Return what the inverters are asked for: the target, and what charges the storages."""
-    headroom_kw = max(impp_kw - target_kw, 0.0)
+def asked_kw(target_kw: float, impp_kw: float, error_kw: float, able: Ability) -> float:
+    """Return what the inverters are asked for: the target, and what charges the storages.
+
+    `error_kw` is the mean error of the plant's power.
+    """
+    headroom_kw = max(impp_kw - target_kw - KEPT_ERRORS * error_kw, 0.0)
     return target_kw + min(able.charge_kw, CHARGED_SHARE * headroom_kw)
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
+from msgspec import UNSET
 
 from agents.dispatch import own_share_kw
 from bus_schemas import messages
@@ -21,7 +22,7 @@ _LAG_CYCLES: Final = 1000
 """How many cycles are kept open for messages that stand further back in the file."""
 
 _FIELDS: Final[dict[type[Message], dict[str, str]]] = {
-    messages.Telemetry: {"power_kw": "power_kw"},
+    messages.Telemetry: {"power_kw": "power_kw", "energy_kwh": "stored_kwh"},
     messages.Impp: {"power_kw": "impp_kw", "stale_cycles": "stale_cycles"},
     messages.Residual: {"power_kw": "residual_kw"},
     messages.Help: {"missing_kw": "help_asked_kw"},
@@ -114,7 +115,8 @@ def _add(
     sender = cycle.get(ROOT if message.source == CENTRAL else message.source)
     if own is not None:
         for field, name in _FIELDS.get(type(message), {}).items():
-            own.values[name] = getattr(message, field)
+            if (value := getattr(message, field)) is not UNSET:
+                own.values[name] = value
     if sender is not None:
         sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
     match message:

@@ -310,6 +310,7 @@ def closed_loop(
                 storages,
                 corrected_kw(known, settings.correction, settings.grid),
                 node_impp_kw[0],
+                known.error_kw,
                 able,
                 course,
                 settings.pursuit,

@@ -124,13 +124,14 @@ def ask_storages(
     storages: StorageArrays,
     target_kw: float,
     impp_kw: float,
+    error_kw: float,
     able: Ability,
     course: Course,
     pursuit: Pursuit,
     helps_first: bool,
 ) -> tuple[float, Course]:
     """Divide a target in a turn of the root; return what the inverters are asked for."""
-    inverters_kw = asked_kw(target_kw, impp_kw, able)
+    inverters_kw = asked_kw(target_kw, impp_kw, error_kw, able)
     course = next_course(course, inverters_kw, impp_kw, pursuit)
     power_kw = storage_kw(target_kw, impp_kw, course.coming_kw, able, helps_first)
     if len(storages.row) > 0:

@@ -103,11 +103,16 @@ def test_energy_is_conserved_and_stays_within_its_limits(
         last_kw = power_kw
 
 
-@given(POWERS, POWERS, POWERS, st.builds(Ability, POWERS, POWERS, POWERS), st.booleans())
+@given(POWERS, POWERS, POWERS, POWERS, st.builds(Ability, POWERS, POWERS, POWERS), st.booleans())
 def test_the_law_asks_no_inverter_for_less_and_no_storage_for_more_than_it_can(
-    target_kw: float, impp_kw: float, coming_kw: float, able: Ability, helps_first: bool
+    target_kw: float,
+    impp_kw: float,
+    coming_kw: float,
+    error_kw: float,
+    able: Ability,
+    helps_first: bool,
 ) -> None:
-    asked = asked_kw(target_kw, impp_kw, able)
+    asked = asked_kw(target_kw, impp_kw, error_kw, able)
     assert target_kw <= asked <= max(target_kw, impp_kw)
     power_kw = storage_kw(target_kw, impp_kw, min(coming_kw, impp_kw), able, helps_first)
     assert -able.absorb_kw <= power_kw <= able.discharge_kw
@@ -129,7 +134,7 @@ def test_it_gives_what_the_inverters_lack_and_is_charged_from_headroom(cluster: 
     assert delivered_kw[12:30] == pytest.approx([300.0] * 18)
     assert power_kw[12:30] == pytest.approx([60.0] * 18)
     assert delivered_kw[32:] == pytest.approx([300.0] * 28), "it is charged from headroom alone"
-    assert power_kw[33] == pytest.approx(-30.0), "half of the headroom"
+    assert -30.0 <= min(power_kw) < -15.0, "with more and more of half of it, as the errors fade"
     assert min(energy_kwh) < 0.6
     assert energy_kwh[-1] > energy_kwh[30]
     setpoint = sent.of(SETPOINT.of("c1"))[20]

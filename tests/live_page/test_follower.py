@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+import recorded_runs
 from msgspec.structs import replace
 from plans_by_hand import with_changes
+from recorded_runs import cloudy_profile, published, record
 from recordings_by_hand import (
     PLAN,
     whole_run,
@@ -13,12 +16,14 @@ from recordings_by_hand import (
 )
 from served import growing_run
 
+from agents.settings import StorageSettings
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Notice, Production, Telemetry
 from bus_schemas.signals import NOTICE, PRODUCTION, TELEMETRY
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState
+from results.report.run_report import write_run_report
 
 
 def followed(path: Path) -> RunFollower:
@@ -65,6 +70,33 @@ def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:
     assert set(frame["agents"]["kind"]) == {"fine"}
     # The central controller acts every other cycle: its newest setpoint holds.
     assert nodes["setpoint"][number("c1")] == 120.0
+
+
+def test_a_storage_shows_its_state_and_what_it_gives_and_takes(tmp_path: Path) -> None:
+    battery = StorageSettings(name="battery", cluster="c1", rating_kw=80.0, capacity_kwh=1.0)
+    plan = recorded_runs.plan_of(cycles=12, storages=(battery,))
+    profile = cloudy_profile(plan)
+    messages = published(plan, profile)
+    made = [one for _, one in messages if isinstance(one, Production) and one.cycle >= 0]
+    run = record(tmp_path / "run", plan, messages, profile)
+    state, nodes = PlantState(followed(run / "run.mcap")), plan.tree.nodes
+    taken_kw = 0.0
+    for cycle, production in enumerate(made):
+        shown = state.frame(cycle)["nodes"]
+        at, parent = nodes.index("c1/battery"), nodes.index("c1")
+        (power_kw,), (energy_kwh,) = (
+            production.storage_power_kw or (),
+            production.storage_energy_kwh or (),
+        )
+        assert shown["power"][at] == pytest.approx(power_kw, abs=0.01)
+        assert shown["stored"][at] == pytest.approx(100.0 * energy_kwh, abs=0.01)
+        assert (shown["share"][at], shown["stored"][parent]) == (0.0, None)
+        inverters_kw = sum(production.inverter_power_kw[i] for i in plan.tree.leaves_below("c1"))
+        assert shown["power"][parent] == pytest.approx(inverters_kw + power_kw, abs=0.02)
+        taken_kw = max(taken_kw, abs(power_kw))
+    assert taken_kw > 10.0
+    page = write_run_report(run).read_text(encoding="utf-8")
+    assert 'id="storage"' in page
 
 
 def test_an_impp_is_only_an_upper_bound_where_a_limit_hides_the_maximum(tmp_path: Path) -> None:
