@@ -143,7 +143,8 @@ def _process_faults(
             also_s = draw.choice([0.0, round(2.0 * end_s - begin_s, 3)])
             yield Zombie(agent, (begin_s, end_s), also_s if end_s - begin_s > 2.0 else 0.0)
         case "stall":
-            yield Stall((begin_s, min(end_s, begin_s + 15.0 * plan.timing.cycle_s)))
+            # Also for longer than it makes up for: it then skips cycles.
+            yield Stall((begin_s, min(end_s, begin_s + 30.0 * plan.timing.cycle_s)))
         case _:
             leaf = draw.choice(plan.tree.leaves)
             yield Trip(draw.choice([leaf, beside(leaf)]), at)

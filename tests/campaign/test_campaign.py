@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from campaign import Broken, healthy, judged_healthy, plant_of, run_plant, run_seed, run_under
 from faults import Down, Stall, Zombie, end_s, faults_of
+from judges import violations
 from planted_bugs import BUGS, planted
 from plants import PLANTS, prepared
 
@@ -29,6 +30,12 @@ def test_a_bug_in_one_function_is_found(bug: str) -> None:
     with planted(BUGS[bug]):
         assert run_plant("orders") is not None
     healthy.cache_clear()
+
+
+def test_a_plant_that_stood_still_for_longer_than_it_makes_up_for_skips_cycles_and_holds() -> None:
+    run = run_under("orders", (Stall((14.5, 40.0)),))
+    assert len(run.trace.cycles) < run.plan.timing.cycles - 20
+    assert [*violations(run)] == []
 
 
 def test_a_seed_gives_the_same_run_again() -> None:
