@@ -16,19 +16,22 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace as replace_fields
 from scipy import stats
 
 from agents.control.clusters import geographic_clusters, search_clusters
 from agents.control.correlation import hourly_correlation
 from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
+from agents.control.storage import NO_ABILITY, ability, moved, storage_kw
 from agents.plan import RunPlan, changed
-from agents.settings import Actuator, OfferedCommitment
+from agents.settings import Actuator, OfferedCommitment, StorageSettings
 from bus_schemas.tree import ROOT
 from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario, simulate
@@ -36,7 +39,7 @@ from recordings.read.series import RunSeries
 from results.answers import Answer, answer, answers
 from results.figures import energy_figures, run_figures
 from results.regulation import requests_fulfilled
-from scenarios.preparation import prepare
+from scenarios.preparation import Preparation, prepare
 from scenarios.run_options import RunOptions
 from scenarios.scenario import DcCurrents, MeasuredIrradiance, ScenarioFile
 from scenarios.settings import with_settings
@@ -827,6 +830,7 @@ def promise_figures(
 ANSWERS: Final = {
     "reaction to a step, longest [s]": ("reaction_s", max, 1),
     "rise, longest [s]": ("rise_s", max, 1),
+    "90 % of a step, longest [s]": ("to_90_s", max, 1),
     "settled within 2.5 % of a step, longest [s]": ("settling_of_change_s", max, 1),
     "damping, least": ("damping", min, 2),
     "settled, longest [s]": ("settling_s", max, 1),
@@ -837,6 +841,7 @@ ANSWERS: Final = {
     "reaction to a step of the frequency, longest [s]": ("reaction_s", max, 1),
     "rise after a step of the frequency, longest [s]": ("rise_s", max, 1),
     "settled after a step of the frequency, longest [s]": ("settling_of_change_s", max, 1),
+    "90 % of a frequency response, longest [s]": ("to_90_s", max, 1),
     "frequency response, least energy [%]": ("response_percent", min, 1),
 }
 
@@ -1011,6 +1016,101 @@ def batteries(data: Path) -> Lines:
                 ]
 
 
+# docs/storage.md
+
+PROMISE_DAYS: Final = range(1, 6)
+PROMISE_HOURS: Final = {"start": "08:00", "duration": "8h"}
+MINUTES: Final = (0, 5, 15, 60)
+
+
+def firm_promises() -> Lines:
+    """Write what share of clear sky is kept in 95 % of the quarter hours, by the battery."""
+    clear = with_settings(
+        load_scenario("oahu-day"),
+        [("commitment", {"kind": "share-of-clear-sky", "share": 1.0}), ("plant.actuator", "limit")],
+    )
+    days = [
+        prepare(clear, RunOptions(seed=seed, **PROMISE_HOURS), "promise") for seed in PROMISE_DAYS
+    ]
+    yield ["battery, minutes at 25 % of the rating", "help between inverters", "firm promise %"]
+    for minutes in MINUTES:
+        for has_help in (False, True):
+            kept, missed = 0, 100
+            while missed - kept > 1:
+                percent = (kept + missed) // 2
+                runs = [
+                    missed_under(day, percent / 100.0, minutes, has_help=has_help) for day in days
+                ]
+                shares_missed = np.concatenate(runs)
+                is_kept = np.mean(shares_missed <= MISSED_SHARE) >= 0.95
+                kept, missed = (percent, missed) if is_kept else (kept, percent)
+            yield [minutes, "with" if has_help else "without", kept]
+
+
+def hard_promises() -> Lines:
+    """Write what is missing of the dispatch where no forecast helps, by the battery."""
+    yield ["sky", *(f"{minutes} min" for minutes in MINUTES)]
+    for sky, cells in hard_cells().items():
+        missed: dict[int, list[float]] = {minutes: [] for minutes in MINUTES}
+        for minutes, (plan, profile) in product(MINUTES, cells):
+            run = run_loop(with_battery(plan, minutes), profile, "predictive", "limit")
+            given_kw = run.power_kw.sum(axis=1) + run.storage_power_kw.sum(axis=1)
+            missing_kw = np.maximum(run.dispatch_kw - given_kw, 0.0)
+            missed[minutes].append(float(100.0 * missing_kw.sum() / run.dispatch_kw.sum()))
+        yield [sky, *(f"{np.mean(percent):.3f}" for percent in missed.values())]
+
+
+def with_battery(plan: RunPlan, minutes: int) -> RunPlan:
+    """Return a plan with a battery of a quarter of its rating, full at first, all of it usable."""
+    rating_kw = 0.25 * plan.tree.rating_kw(ROOT)
+    battery = StorageSettings(
+        name="battery",
+        rating_kw=rating_kw,
+        capacity_kwh=rating_kw * max(minutes, 1) / 60.0,
+        state=1.0,
+        target=1.0,
+        lowest_state=0.0,
+    )
+    return replace_fields(plan, storages=(battery,) if minutes else ())
+
+
+def missed_under(day: Preparation, share: float, minutes: int, *, has_help: bool) -> Any:
+    """Return which share of its energy is missing of each quarter hour under a promise."""
+    plan = with_battery(day.plan, minutes)
+    wanted_kw = share * day.profile.commitment_kw
+    profile = replace(day.profile, commitment_kw=wanted_kw, regulation_kw=np.zeros_like(wanted_kw))
+    if has_help:
+        run = run_loop(plan, profile, "predictive", "limit")
+        given_kw = run.power_kw.sum(axis=1) + run.storage_power_kw.sum(axis=1)
+    else:
+        given_kw = without_help_kw(plan, profile)
+    missing_kw = np.maximum(profile.commitment_kw - given_kw, 0.0)
+    quarters = len(given_kw) // 900
+    by_quarter = [
+        kw[: 900 * quarters].reshape(-1, 900).sum(1) for kw in (missing_kw, profile.commitment_kw)
+    ]
+    return by_quarter[0] / by_quarter[1]
+
+
+def without_help_kw(plan: RunPlan, profile: Profile) -> np.ndarray:
+    """Return the power of inverters that are each held to their share, and of a battery.
+
+    All obey at once, and the battery knows what they give. Caps rise by what it wants to take.
+    """
+    parts = np.array([rating_kw for _, rating_kw in plan.inverters]) / plan.tree.rating_kw(ROOT)
+    laws, given_kw = [*plan.storage_laws.values()], np.empty(profile.cycles)
+    energy_kwh, power_kw = (laws[0].target_kwh if laws else 0.0), 0.0
+    for cycle, target_kw in enumerate(profile.commitment_kw.tolist()):
+        able = ability(energy_kwh, power_kw, laws[0]) if laws else NO_ABILITY
+        caps_kw = parts * (target_kw + able.charge_kw)
+        sun_kw = float(np.minimum(profile.mpp_kw[cycle], caps_kw).sum())
+        if laws:
+            wanted_kw = storage_kw(target_kw, sun_kw, sun_kw, able, helps_first=False)
+            power_kw, energy_kwh = moved(energy_kwh, power_kw, wanted_kw, laws[0])
+        given_kw[cycle] = sun_kw + power_kw
+    return given_kw
+
+
 Tables = dict[str, Callable[[], Lines]]
 
 SYNTHETIC: Final[dict[str, Tables]] = {
@@ -1028,6 +1128,7 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "unavoidable": unavoidable,
     },
     "offers.md": {"offers": offers},
+    "storage.md": {"firm promise": firm_promises, "hard skies": hard_promises},
     "orders.md": {"commissioning": commissioning},
     "clusters.md": {
         "oahu": lambda: clusters({"oahu": ("oahu", {})}),
