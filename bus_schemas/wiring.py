@@ -100,6 +100,7 @@ class Wiring:
         self.members: dict[str, list[str]] = {}
         for name in self.heard:
             self.members.setdefault(self.process_of(name), []).append(name)
+        self.bundles = self._bundles()
 
     def process_of(self, name: str) -> str:
         """Return the process that runs an agent."""
@@ -119,9 +120,8 @@ class Wiring:
                     found.setdefault((source, sink), []).append(port)
         return found
 
-    @cached_property
-    def bundles(self) -> tuple[Bundle, ...]:
-        """The bundles of the run. Who hears one also hears each of its messages by itself."""
+    def _bundles(self) -> tuple[Bundle, ...]:
+        """Return the bundles. Who hears one also hears each of its messages by itself."""
         found: dict[str, Bundle] = {}
         for port, hearers in self.listeners.items():
             source = self.process_of(port.publisher)
