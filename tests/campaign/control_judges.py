@@ -278,8 +278,10 @@ def storages(run: FaultyRun) -> Breaches:
             wanted_kw = setpoint.storage_kw or 0.0
         elif one.agent == CENTRAL:
             asked_kw = sum(its.share_kw for its in given)
-            wanted_kw = _uncharged_kw(run, one, asked_kw, has_kw.sum())
-            wanted_kw -= min(asked_kw, has_kw.sum())
+            least_kw = _uncharged_kw(run, one, asked_kw, has_kw.sum())
+            least_kw -= min(asked_kw, has_kw.sum())
+            most = max(asked_kw - has_kw.sum(), 0.0)
+            wanted_kw = min(max(sum(parts_kw.values()), least_kw), most)  # Under a sure sky least.
         else:
             continue
         most_kw = able_kw[:, 0 if wanted_kw >= 0.0 else 1]
@@ -445,14 +447,14 @@ def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
         silent_kw = sum(kw for child, kw in has_kw.items() if one.used[key(child, "impp")] is None)
         target_kw = sum(setpoint.share_kw for setpoint in given if setpoint) + silent_kw
         possible_kw = sum(has_kw.values())
-        target_kw = _uncharged_kw(run, one, target_kw, possible_kw)
+        least_kw = _uncharged_kw(run, one, target_kw, possible_kw)
         low_kw, high_kw = (aim_kw(run, one, kw, possible_kw) for kw in reference)
         needs_kw = [gross_kw(run, kw) for kw in (low_kw, high_kw)]
         stated_now = run.trace.of["memory"].get(one.cycle, ())
         memory = next((m for m in stated_now if m.incarnation == one.process), None)
         is_shown = silent_kw + near_kw < target_kw < run.rating_kw() - near_kw
         yield _Aim(
-            *(one, target_kw - needs_kw[1], target_kw - needs_kw[0], high_kw),
+            *(one, least_kw - needs_kw[1], target_kw - needs_kw[0], high_kw),
             *(net_kw(run, possible_kw), seen_kw, is_shown, memory),
         )
         seen_kw = ()

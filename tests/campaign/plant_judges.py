@@ -222,7 +222,7 @@ def _wrong_storage(
     step_kw = one.rating_kw * (one.ramp_percent_per_s or inf) / 100.0 * hours * 3600.0
     due_kw = min(max(wanted_kw, last_kw - step_kw, -one.rating_kw), last_kw + step_kw)
     lowest_kwh = one.lowest_state * one.capacity_kwh
-    if lowest_kwh < energy_kwh < one.highest_state * one.capacity_kwh:
+    if lowest_kwh + EXACT < energy_kwh < one.highest_state * one.capacity_kwh - EXACT:
         due_kw = min(due_kw, one.rating_kw)
         if abs(power_kw - due_kw) > EXACT * one.rating_kw:
             yield f"gives {power_kw:,.3f} kW, not {due_kw:,.3f} kW"

@@ -61,7 +61,7 @@ def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(
     words = [word for fault in faults for word in ("--fault", fault)]
     run = tmp_path / "run"
     done("simulate", "oahu", "--duration", "30s", *words, "--out", run)
-    restarts = json.loads((run / "summary.json").read_bytes())["launcher"]["restarts"]
+    restarts = json.loads((run / "summary.json").read_bytes())["restarts"]
     assert restarts == {"central": 1, "c1/inv01": 1, "c2": 1}
     done("verify", run)
     inspected = " ".join(done("inspect", run).split())
