@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
+from agents.settings import Scheme
 from results.figures import FIGURES, Figure, Shown, shown_in
 from results.tables import Cell, Column, Table, cell_text, key_column
 from studies.compare.cases import label
@@ -56,7 +57,7 @@ def case_tables(title: str, rows: Sequence[Row]) -> list[Table]:
     if any(row["capacity"] is not None for row in rows):
         figures = shown_in(Shown.COMPARE, Shown.REGULATION)
         tables.append(_scheme_table("Regulation signal", rows, figures))
-    if hierarchical := [row for row in rows if row["scheme"] in ("paper", "predictive")]:
+    if hierarchical := [row for row in rows if row["scheme"] in get_args(Scheme)]:
         figures = shown_in(Shown.COMPARE, Shown.AGENTS)
         cells = [(*_keys(row), *(row[one.name] for one in figures)) for row in hierarchical]
         tables.append(Table("Help, missed inputs and reverts", _columns(figures), cells))
