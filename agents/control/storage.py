@@ -18,8 +18,8 @@ CHARGED_SHARE: Final = 0.5
 """Share of the inverters' headroom that storages are charged with: a forecast may be too high."""
 
 KEPT_ERRORS: Final = 8.0
-"""So many times the mean error of the plant's power is no headroom: under a wild sky the
-power that a storage takes would soon be missing."""
+"""Mean errors of the plant's power that do not count as headroom: under a wild sky the power that
+a storage takes would soon be missing."""
 
 
 class StorageLaw(NamedTuple):

@@ -165,7 +165,7 @@ def _counts_table(tiers: pd.DataFrame) -> Table:
 
 
 def _late_tables(late: Sequence[LateCycle], most: int) -> list[Table]:
-    """Return the table of late cycles, so many of them, and that of their culprits."""
+    """Return the table of the first late cycles, `most` of them, and that of their culprits."""
     if not late:
         return []
     columns = (key_column("cycle"), Column("loop", "ms", 1), word_column("cause"))
