@@ -18,6 +18,7 @@ from agents.cycle import Deadlines
 from agents.faults import ProcessFault
 from agents.plan_parts import Access, Control, Faults, PlannedOrder, Site, Supervision, Timing
 from agents.settings import GridSettings, StorageSettings
+from bus_schemas.faults import LinkFault
 from bus_schemas.messages import PROTOCOL, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.tree import (
@@ -118,12 +119,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return Deadlines(self.tree, self.timing.cycle_wall_ns)
 
     def network_faults(self) -> NetworkFaults:
-        on_links = {
-            number: fault
-            for number, fault in enumerate(self.faults.rules)
-            if not isinstance(fault, ProcessFault)
-        }
-        return NetworkFaults(on_links, self.faults.seed, self.tree, self.timing.cycle_ns)
+        return NetworkFaults(self.link_faults, self.faults.seed, self.tree, self.timing.cycle_ns)
+
+    @property
+    def link_faults(self) -> dict[int, LinkFault]:
+        """The faults of links, by their numbers among all faults."""
+        rules = enumerate(self.faults.rules)
+        return {number: one for number, one in rules if not isinstance(one, ProcessFault)}
 
     @property
     def restarts(self) -> bool:

@@ -41,6 +41,11 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="k
             expected = f"an end after the beginning {at[0]:g} s"
             raise InputError.of("at", f"expected {expected}, got {at[1]:g} s")
 
+    @property
+    def begin_s(self) -> float:
+        at: Interval | float | None = getattr(self, "at", None)
+        return at[0] if isinstance(at, tuple) else at or 0.0
+
 
 class _OneWay(Rule, frozen=True, kw_only=True):
     """A fault of links in one direction.

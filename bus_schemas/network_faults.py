@@ -13,8 +13,6 @@ from hashlib import blake2b
 from math import cos, log, pi, sqrt
 from typing import Final
 
-import msgspec
-
 from bus_schemas.faults import Disturbance, LinkFault, acts_on, links
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
@@ -22,19 +20,6 @@ from bus_schemas.tree import ControlTree
 
 UNHARMED: Final[tuple[int, ...]] = (0,)
 """Fate of a message that arrives once and without delay."""
-
-
-class FaultAct(msgspec.Struct):
-    """How many messages a fault acted on, once for each listener, and in which cycles."""
-
-    messages: int = 0
-    first_cycle: int | None = None
-    last_cycle: int | None = None
-
-    def add(self, cycle: int) -> None:
-        self.messages += 1
-        self.first_cycle = cycle if self.first_cycle is None else min(self.first_cycle, cycle)
-        self.last_cycle = cycle if self.last_cycle is None else max(self.last_cycle, cycle)
 
 
 class NetworkFaults:
@@ -45,14 +30,12 @@ class NetworkFaults:
 
     faults: By their numbers among all faults of the run, on which the draws depend.
     cycle_ns: Length of a cycle in simulated time [ns].
-    acts: What each fault has done so far, by its number.
     tally: How many messages were lost (no copy arrived), duplicated and delayed so far.
     """
 
     def __init__(
         self, faults: Mapping[int, LinkFault], seed: int, tree: ControlTree, cycle_ns: int
     ) -> None:
-        self.acts = {number: FaultAct() for number in faults}
         self.tally: Counter[str] = Counter()
         self._cycle_s = cycle_ns / 1e9
         self._faults_on: dict[tuple[Port[Message], str], list[_FaultOnLink]] = {}
@@ -60,7 +43,7 @@ class NetworkFaults:
             for number, fault in faults.items():
                 if acts_on(fault, port, listener):
                     seed_text = f"{seed} {number} {port} {listener}"
-                    one = _FaultOnLink(fault, self.acts[number], seed_text)
+                    one = _FaultOnLink(fault, seed_text)
                     self._faults_on.setdefault((port, listener), []).append(one)
         self._listeners = {listener for _, listener in self._faults_on}
 
@@ -80,10 +63,7 @@ class NetworkFaults:
         for each in faults:
             at = each.fault.at
             if at is None or at[0] <= time_s < at[1]:
-                passed_ms = each.pass_on(cycle, delays_ms)
-                if passed_ms != delays_ms:
-                    each.act.add(cycle)
-                delays_ms = passed_ms
+                delays_ms = each.pass_on(cycle, delays_ms)
         self.tally["lost"] += not delays_ms
         self.tally["duplicated"] += len(delays_ms) > 1
         self.tally["delayed"] += any(delays_ms)
@@ -93,9 +73,8 @@ class NetworkFaults:
 class _FaultOnLink:
     """One fault on one link. Its draws are words of a hash: none depends on those before it."""
 
-    def __init__(self, fault: LinkFault, act: FaultAct, seed_text: str) -> None:
+    def __init__(self, fault: LinkFault, seed_text: str) -> None:
         self.fault = fault
-        self.act = act
         self._hash = blake2b(seed_text.encode())
 
     def pass_on(self, cycle: int, delays_ms: list[float]) -> list[float]:

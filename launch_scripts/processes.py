@@ -132,7 +132,7 @@ class Processes:
         # In lockstep a cycle may take any time.
         self._cycle_s = 3.0e-9 * plan.timing.cycle_wall_ns + self._frozen_s
         # Where links are cut by a fault rule, not being heard proves nothing.
-        self._judges_hearing = plan.restarts and not plan.network_faults().acts
+        self._judges_hearing = plan.restarts and not plan.link_faults
         self._unheard_s = sum(link_times(plan)) + _SPARE_S
         self._ready = selectors.DefaultSelector()
         self._ready.register(server.control, selectors.EVENT_READ, None)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from agents.faults import ProcessFault
+from agents.faults import Fault
 from bus_schemas.errors import listed
 from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.tree import RECORDER
-from recordings.inspect.overview import FaultEffect, Overview
+from recordings.inspect.overview import Overview
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import SUMMARY_NAME
 from results.run_document import Outcome, RunDocument
@@ -24,9 +24,10 @@ def health_lines(
 ) -> Iterator[tuple[str, str]]:
     document = outcome.document
     touched = f"messages: {counts_text(overview.faults) or 'none touched'}"
-    yield "faults", touched if overview.fault_effects else "none injected"
-    for effect in overview.fault_effects:
-        yield "fault", f"{fault_text(effect.fault)}: {_effect_text(effect, clock)}"
+    faults = clock.plan.faults.rules
+    yield "faults", touched if faults else "none injected"
+    for fault in faults:
+        yield "fault", f"{fault_text(fault)}{_nothing_done(fault, overview, clock)}"
     yield "missing", _missing(overview, outcome)
     if overview.repeated:
         yield "repeated", f"{overview.repeated:,} messages came again"
@@ -54,14 +55,12 @@ def _missing(overview: Overview, outcome: Outcome) -> str:
     return f"{document.lost:,} messages not recorded, {seen:,} of them before the recording's end"
 
 
-def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
-    fault = effect.fault
+def _nothing_done(fault: Fault, overview: Overview, clock: RunClock) -> str:
+    """Say why a fault did nothing; empty if it acted."""
     if isinstance(fault, Disturbance | Blackout) and fault.signal in UNHEARD:
-        return f"changed nothing: no agent acts on {fault.signal}"
-    if effect.first_cycle is None or effect.last_cycle is None:
-        return "never acted"
-    on = "" if isinstance(fault, ProcessFault) else f"on {effect.messages:,} messages "
-    return f"acted {on}{clock.span_text(effect.first_cycle, effect.last_cycle)}"
+        return f": changed nothing, no agent acts on {fault.signal}"
+    first = int(fault.begin_s * 1e9 / clock.plan.timing.cycle_ns)
+    return f": never acted, it begins in cycle {first:,}" if first > overview.last_cycle else ""
 
 
 def _dropped(document: RunDocument | None) -> str:

@@ -9,7 +9,6 @@ from typing import Final, TypeAlias
 
 import msgspec
 
-from agents.faults import Fault, Kill, ProcessFault
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import NetworkFaults
@@ -43,15 +42,6 @@ class SignalCount(msgspec.Struct, frozen=True):
     missing_cycles: int
 
 
-class FaultEffect(msgspec.Struct, frozen=True):
-    """How many messages a fault acted on, once for each listener, and in which cycles."""
-
-    fault: Fault
-    messages: int = 0
-    first_cycle: int | None = None
-    last_cycle: int | None = None
-
-
 class Misses(msgspec.Struct, frozen=True):
     """Inputs that an agent missed at its deadlines, and older messages that it used."""
 
@@ -82,7 +72,6 @@ class Overview(msgspec.Struct, frozen=True, kw_only=True):
     planned_cycles: int
     wall_s: float
     signals: tuple[SignalCount, ...]
-    fault_effects: tuple[FaultEffect, ...] = ()
     faults: dict[str, int] = {}
     lost: dict[str, int] = {}
     misses: tuple[Misses, ...] = ()
@@ -175,7 +164,6 @@ def read_through(
         signals=tuple(
             _count(signal, gaps, wanted, end, wall_s) for signal in SIGNALS if signal in sent
         ),
-        fault_effects=tuple(_effects(plan, links, run.last_cycle)),
         faults=dict(+links.tally),
         lost=dict(lost.most_common()),
         misses=_misses(plan, states),
@@ -209,18 +197,6 @@ def _see_faults(plan: RunPlan, links: NetworkFaults, port: Port[Message], messag
     for listener in plan.wiring.listeners[port]:
         if listener not in plan.access.external:
             links.fates(port, listener, message)
-
-
-def _effects(plan: RunPlan, links: NetworkFaults, last_cycle: int) -> Iterator[FaultEffect]:
-    for number, fault in enumerate(plan.faults.rules):
-        if isinstance(fault, ProcessFault):
-            begin_s = fault.at if isinstance(fault, Kill) else fault.at[0]
-            cycle = int(begin_s * 1e9 / plan.timing.cycle_ns)
-            came = cycle <= last_cycle
-            yield FaultEffect(fault, 0, cycle, cycle) if came else FaultEffect(fault)
-        else:
-            act = links.acts[number]
-            yield FaultEffect(fault, act.messages, act.first_cycle, act.last_cycle)
 
 
 def _count(

@@ -75,5 +75,4 @@ def test_a_silence_is_in_simulated_time_at_any_pace_and_a_rule_without_messages_
     output = " ".join(done("simulate", "oahu", *words, "--out", tmp_path / "run").split())
     summary = json.loads((tmp_path / "s.json").read_text())
     assert summary["recording"]["faults"] == {"lost": 2 * (17 + 3)}
-    assert "acted on 40 messages in cycles 2 to 3" in output
     assert "never acted" in output
