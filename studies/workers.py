@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
@@ -53,36 +53,41 @@ def share_work(
             found.append(function(item))
             done()
         return found
-    ensure_running()  # Its start unblocks signals, so it must come before we block them.
-    context, started = SpawnContext(), list[SpawnProcess]()
+    context, created = SpawnContext(), list[SpawnProcess]()
 
-    def start(**given: Any) -> SpawnProcess:
-        started.append(SpawnProcess(**given))
-        return started[-1]
+    def create(**given: Any) -> SpawnProcess:
+        created.append(SpawnProcess(**given))
+        return created[-1]
 
-    vars(context)["Process"] = (
-        start  # The pool starts its workers by it: so we know which they are.
-    )
+    vars(context)["Process"] = create  # The pool makes its workers by it: so we know them.
     pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
-    try:
-        # Workers inherit the mask: they never obey the signals that end this process.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    # Handlers of signals run in this thread: another starts the workers, so no start is left
+    # half-way. The kernel ends workers with the thread that started them, so it stays.
+    with ThreadPoolExecutor(1) as starter:
+        submission = starter.submit(_submit, pool, items)
         try:
-            futures: list[Future[Any]] = [pool.submit(_apply, item) for item in items]
+            futures = submission.result()
+            for future in as_completed(futures):
+                future.result()
+                done()
+            return [future.result() for future in futures]
+        except BrokenProcessPool:
+            raise WorkerLostError(
+                "a worker was killed, often because memory ran out: try fewer --workers"
+            ) from None
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for future in as_completed(futures):
-            future.result()
-            done()
-        return [future.result() for future in futures]
-    except BrokenProcessPool:
-        raise WorkerLostError(
-            "a worker was killed, often because memory ran out: try fewer --workers"
-        ) from None
-    finally:
-        for worker in started:
-            worker.kill()
-        pool.shutdown(cancel_futures=True)
+            wait([submission])
+            for worker in created:
+                if worker.pid is not None:  # It has started.
+                    worker.kill()
+            pool.shutdown(cancel_futures=True)
+
+
+def _submit(pool: ProcessPoolExecutor, items: Sequence[Any]) -> list[Future[Any]]:
+    """Submit items from a thread of its own; workers inherit its mask: they obey no signal."""
+    ensure_running()  # Its start unblocks signals, so it must come before we block them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    return [pool.submit(_apply, item) for item in items]
 
 
 def _share_over_cluster(

@@ -187,7 +187,9 @@ def timely(run: FaultyRun) -> Breaches:
             "apply": 2 + 2 * height,
         }[one.stage]
         due_ns = wall_ns * (one.cycle + USED_SHARE * (place + 2) / (4 + 2 * height))
-        if run.is_stopped(one.agent, one.cycle):  # It may be late, but leaves out what is over.
+        # One that returns, or joins by a dispatch that was long on its way, may be late for its
+        # stages, but leaves out what is over.
+        if run.is_stopped(one.agent, one.cycle) or 0 < one.process == one.cycle:
             due_ns = wall_ns * (one.cycle + 1)
         for port, message in one.sent.items():
             if message.publish_time_ns > due_ns + 1e3:

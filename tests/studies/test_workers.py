@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from signal import SIGINT
 
 import psutil
 import pytest
@@ -37,6 +40,41 @@ def test_an_interruption_ends_the_workers() -> None:
     with pytest.raises(KeyboardInterrupt):
         share_work(sleep_for, [(0.0, large), *((600.0, large),) * 9], 2, interrupt)
     assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
+
+
+class Interrupting:
+    """Sleeps. When it is first sent to a worker, Ctrl-C comes."""
+
+    def __init__(self) -> None:
+        self.interrupts = True
+
+    def __getstate__(self) -> dict[str, bool]:
+        if self.interrupts:
+            self.interrupts = False
+            os.kill(os.getpid(), SIGINT)
+            time.sleep(0.5)  # Python hears of it meanwhile.
+        return {"interrupts": False}
+
+    def __call__(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+def test_an_interruption_while_workers_start_ends_them() -> None:
+    is_over = threading.Event()
+    other = threading.Thread(target=is_over.wait)  # The kernel may give the signal to it.
+    other.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            share_work(Interrupting(), [1.0] * 9, 2)
+    finally:
+        is_over.set()
+        other.join()
+    assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
+
+
+def test_work_that_cannot_be_sent_is_an_error() -> None:
+    with pytest.raises(AttributeError, match="pickle"):
+        share_work(lambda item: item, range(3), 2)
 
 
 def test_a_child_of_the_program_that_began_meanwhile_is_left_alone() -> None:
