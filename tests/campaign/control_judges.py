@@ -102,7 +102,7 @@ class _Known:
         if control.scheme == "paper":  # Eq. 1.
             kw = min(power_kw / telemetry.alpha, rating_kw)
             if telemetry.alpha < 1.0 and stated_kw is not None:
-                kw = min(stated_kw, rating_kw)
+                kw = min(max(stated_kw, 0.0), rating_kw)  # One that has tripped draws power.
             return kw, kw
         is_hidden = power_kw >= limit_kw * (1.0 - 1e-9) and limit_kw < self.impp_kw * 0.99
         self.hidden = self.hidden + 1 if is_hidden else 0
@@ -298,6 +298,11 @@ def _wrong_abilities(run: FaultyRun) -> Breaches:
         measured, its = one.used.get(key(one.node, "telemetry")), settings.get(one.node)
         if its is None or measured is None or one.doubtful or measured.cycle < one.cycle:
             continue
+        said = one.sent[key(one.node, "impp")]
+        if not isinstance(measured.energy_kwh, float):  # It is off, and nobody knows what it holds.
+            if said.discharge_kw or said.absorb_kw:
+                yield one.cycle, f"{one.agent} says that it can give and take, though it is off"
+            continue
         kwh, ramp_kw = measured.energy_kwh, its.rating_kw * (its.ramp_percent_per_s or inf) / 100.0
         stored_kwh = kwh - its.lowest_state * its.capacity_kwh
         room_kwh = its.highest_state * its.capacity_kwh - kwh
@@ -307,7 +312,6 @@ def _wrong_abilities(run: FaultyRun) -> Breaches:
             max(min(its.rating_kw, give_kw, ramp_kw * cycle_s + measured.power_kw), 0.0),
             max(min(its.rating_kw, take_kw, ramp_kw * cycle_s - measured.power_kw), 0.0),
         )
-        said = one.sent[key(one.node, "impp")]
         if np.abs(np.subtract(due_kw, (said.discharge_kw, said.absorb_kw))).max() > 1e-6:
             yield one.cycle, f"{one.agent} can give and take {due_kw} kW, and says otherwise"
 
