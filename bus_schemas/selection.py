@@ -55,10 +55,10 @@ def find_agents(
         words = _words(names, where)
     else:  # The path of the central controller is empty.
         words = [word for name in names for word in _words(name, where) or [CENTRAL]]
-    found: list[str] = []
+    found, known = list[str](), frozenset(team)
     for name in words:
         top = CENTRAL if name == _ALL else name.removesuffix(_SUBTREE)
-        if top not in team or (top != name and top in also):
+        if top not in known or (top != name and top in also):
             raise InputError.of(where, not_one_of(team, top))
         found.append(top)
         if top != name:

@@ -39,6 +39,9 @@ MESSAGE_HEAD: Final = Struct("<BQHIQQ")
 _RECORD_HEAD: Final = Struct("<BQ")
 """Of every record: opcode, length of what follows."""
 
+_CHANNEL_HEAD: Final = Struct("<BQHHI")
+"""Of a channel: opcode, length, number, schema, length of its topic."""
+
 _CHUNK_HEAD: Final = Struct("<QQQII")
 """Of a chunk: first and last log time, size and checksum unpacked, length of the codec's name."""
 
@@ -89,7 +92,7 @@ class Chunk(NamedTuple):
 
 @dataclass
 class Outline:
-    """What a file consists of, in its order; metadata by name, channels by their id.
+    """What a file consists of, in its order; metadata by name, topics of channels by their number.
 
     It is `closed` if its writer came to the end of the messages, and `whole` if it ends as it
     should. Otherwise it was cut, is damaged at `readable_end`, or is still being written. The
@@ -106,7 +109,7 @@ class Outline:
     readable_end: int = len(MAGIC)
     attachments: list[records.Attachment] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    channels: dict[int, records.Channel] = field(default_factory=dict)
+    channels: dict[int, str] = field(default_factory=dict)
     chunks: list[Chunk] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
     file: int = 0
@@ -200,13 +203,14 @@ def _take_unchunked(outline: Outline, file: BinaryIO, offset: int) -> int:
 def take_channels(outline: Outline, content: bytes) -> None:
     """Enter the channels among some records; messages are passed over by their lengths."""
     begin = 0
-    while begin + _RECORD_HEAD.size <= len(content):
+    while begin + _CHANNEL_HEAD.size <= len(content):
         opcode, length = _RECORD_HEAD.unpack_from(content, begin)
         end = begin + _RECORD_HEAD.size + length
         if opcode == Opcode.CHANNEL:
-            match next(_records_in(content[begin:end]), None):
-                case records.Channel() as channel:
-                    outline.channels[channel.id] = channel
+            _, _, number, _, topic_length = _CHANNEL_HEAD.unpack_from(content, begin)
+            topic_begin = begin + _CHANNEL_HEAD.size
+            topic = content[topic_begin : topic_begin + topic_length]
+            outline.channels[number] = topic.decode(errors="replace")
         begin = end
 
 

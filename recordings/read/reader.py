@@ -213,7 +213,7 @@ class RunReader:
     ) -> frozenset[Port[Message]]:
         """Return the ports of some signals about some nodes, see `messages`."""
         wanted = find_signals(signals) or SIGNALS
-        about = find_nodes(self.plan.tree, nodes) or self.plan.tree.nodes
+        about = frozenset(find_nodes(self.plan.tree, nodes) or self.plan.tree.nodes)
         return frozenset(
             port
             for port in self.plan.wiring.ports
@@ -297,7 +297,7 @@ class RunReader:
         ):  # The first chunk has them, and is damaged.
             return dict(enumerate(recorded_ports(self.plan), start=1))
         port_at = self.plan.wiring.port
-        port_of = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
+        port_of = {number: port_at(topic) for number, topic in self.outline.channels.items()}
         return {number: port for number, port in port_of.items() if port is not None}
 
     @cached_property

@@ -11,7 +11,6 @@ import logging
 import signal
 import time
 from collections.abc import Callable
-from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -39,7 +38,8 @@ _NAP_S: Final = 0.005
 _SHORT_NAP_S: Final = 0.0005
 """Beside devices, which are measured by when their messages arrive here."""
 _STATUS_S: Final = 0.25
-_MOST_AT_ONCE: Final = 500
+_LONGEST_WORK_S: Final = 0.1
+"""Without a beat. A bundle may have hundreds of messages, so their number says little."""
 
 
 def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
@@ -58,12 +58,13 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
         # The bus comes first: messages wait in it, and no process waits for a file.
         settings = session_settings(plan, RECORDER)
         with RunSubscriber(RECORDER, plan.wiring, settings) as subscriber:
-            link.tell(Joined())
             if not plan.timing.lockstep:
                 stand_back()
             path, anchor = next_file(folder / RECORDING_NAME)
             writer = RunWriter(path, plan, scenario, driver="launch", anchor=anchor, on_end=on_end)
-            Recorder(plan, subscriber, writer, link).run()
+            recorder = Recorder(plan, subscriber, writer, link)
+            link.tell(Joined())  # From now on it must beat: a file for 10,000 inverters takes time.
+            recorder.run()
 
     return run_guarded(RECORDER, link, run)
 
@@ -118,14 +119,16 @@ class Recorder:
         now = flush_at = status_at = self._now_s()
         while not closing.is_over(now, listener.own_heard):
             # Flush and status must have their turn, however much comes.
-            heard = list(islice(self._subscriber.drain(), _MOST_AT_ONCE))
-            own_before = listener.own_heard
-            for key, payload in heard:
+            heard, own_before = 0, listener.own_heard
+            for key, payload in self._subscriber.drain():
+                heard += 1
                 if (ready := listener.hear(key, payload)) is not None:
                     self._subscriber.publish(READY.of(ROOT), ready)
+                if self._now_s() > now + _LONGEST_WORK_S:
+                    break
             quiet_s = 0.0 if heard else self._nap_s
             # A bundle has many messages, but all are of the launcher's processes.
-            closing.note(max(0, len(heard) - (listener.own_heard - own_before)), quiet_s)
+            closing.note(max(0, heard - (listener.own_heard - own_before)), quiet_s)
             if not heard:
                 self._ask_launcher()
                 self._sleep(self._nap_s)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from itertools import chain, groupby, repeat
+from itertools import chain, groupby, pairwise, repeat
 from pathlib import Path
 from typing import cast
 
@@ -14,6 +14,7 @@ from buses_by_hand import LinkByHand, SubscriberByHand
 from msgspec.structs import replace
 from recorded_runs import cloudy_profile, plan_of, published
 
+from agents.process.beats import BEAT_S
 from agents.process.events import Complaint, Recorded
 from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode, encode_bundle
@@ -263,3 +264,28 @@ def test_each_message_of_a_bundle_is_recorded_as_if_it_came_alone(tmp_path: Path
         (key, "unknown"): 1,
         (key, "undecodable"): 2,
     }
+
+
+def test_a_recorder_beats_while_bundles_of_much_work_keep_coming(tmp_path: Path) -> None:
+    clock, beats = [0.0], [0.0]
+
+    class Link(LinkByHand):
+        def beat(self, cycle: int) -> None:
+            beats.append(clock[0])
+
+    def each_takes(work_s: float) -> Iterator[tuple[str, bytes]]:
+        for entry in on_the_bus(said):
+            clock[0] += work_s
+            yield entry
+
+    said = published(GROUPED, cloudy_profile(GROUPED))
+    waiting = each_takes(0.05)
+    Recorder(
+        GROUPED,
+        cast("RunSubscriber", SubscriberByHand(lambda: waiting)),
+        RunWriter(tmp_path / "run.mcap", GROUPED, 'name = "oahu"\n', "launch"),
+        cast("LauncherLink", Link(expected=len(said))),
+        now_ns=lambda: round(clock[0] * 1e9),
+    ).run()
+    assert clock[0] > 10 * BEAT_S
+    assert max(after - before for before, after in pairwise(beats)) < BEAT_S
