@@ -23,7 +23,7 @@ from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import is_run
 from heliarch.cli.run import carry_out
 from heliarch.recorded import Run, by_parameter, open_run
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import ForkServer, fork_server
 from recordings.export.exporting import ExportSummary, Form
 from recordings.export.exporting import export as export_run
 from recordings.export.mcap_copies import Clock
@@ -127,7 +127,7 @@ def launch(
     Parameters are those of `simulate`. What failed in the run is a warning, as in the command's
     last lines.
     """
-    with ForkServerProcess() as server:
+    with fork_server() as server:
         return _run(_file(scenario, settings, data), options, out, server)
 
 
@@ -297,7 +297,7 @@ def _run(
     file: ScenarioFile,
     options: Mapping[str, Any],
     out: str | Path | None,
-    server: ForkServerProcess | None = None,
+    server: ForkServer | None = None,
 ) -> Run:
     asked, began_at = _options(options), time.monotonic()
     with _nowhere() as console:

@@ -32,7 +32,7 @@ from agents.process.machine import refusals, take_files
 from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import ForkServer
 from launch_scripts.process_record import Process, has_exited, is_through
 from launch_scripts.processes import Processes
 from launch_scripts.run_end import Dropped, begun, ended, process_account
@@ -290,7 +290,7 @@ class _Launch:
         """Leave processes to the end of the fork server, which does not say that they ended."""
         if "fork server" in self.given_up:
             return
-        server = f"fork server (process {self.processes.server.process.pid})"
+        server = self.processes.server.name
         self.view.say(f"the {server} did not end {len(some)} processes: it is killed")
         self.given_up["fork server"] = self.processes.newest_cycle
 
@@ -353,7 +353,7 @@ def run_as_processes(
     folder: RunFolder,
     view: View,
     began_at: float,
-    server: ForkServerProcess,
+    server: ForkServer,
 ) -> RunDocument:
     """Run and record a plant as processes over Zenoh, which the server starts.
 

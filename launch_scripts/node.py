@@ -10,7 +10,7 @@ from agents.process.events import Failed
 from agents.process.machine import take_files
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import PLANT
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import ForkServer
 from launch_scripts.processes import Processes
 from launch_scripts.run_folder import RunFolder
 
@@ -30,7 +30,7 @@ def run_share(
     plan: RunPlan,
     agents: Sequence[str],
     folder: RunFolder,
-    server: ForkServerProcess,
+    server: ForkServer,
     say: Callable[[str], None],
 ) -> None:
     """Start agents of a plan and see them through its run.

@@ -11,11 +11,14 @@ import selectors
 import signal
 import socket
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from math import inf
 from pathlib import Path
 from typing import Final, TypeAlias
+
+import msgspec
 
 from agents.cycle import kind_of
 from agents.faults import incidents
@@ -30,6 +33,7 @@ from agents.process.events import (
     Joined,
     Presence,
     Recorded,
+    Request,
     SendSignal,
     Start,
     Started,
@@ -40,13 +44,14 @@ from agents.process.launcher_link import decode_event
 from agents.process.session import link_times
 from bus_schemas.errors import FailureError, listed
 from bus_schemas.tree import OPERATOR, PLANT, RECORDER
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import ForkServer
 from launch_scripts.process_record import Process, has_exited
 from launch_scripts.run_folder import RunFolder
 from recordings.read.run_file import log_name
 
 _LOG_LINES: Final = 5
 _LARGEST_READ: Final = 1 << 18
+_LARGEST_EVENT: Final = 1 << 16
 
 _LONGEST_STEP_S: Final = 0.5
 """Between two looks of the launcher no more than this counts."""
@@ -96,7 +101,7 @@ class Processes:
 
     def __init__(
         self,
-        server: ForkServerProcess,
+        server: ForkServer,
         plan: RunPlan,
         names: Sequence[str],
         folder: RunFolder,
@@ -127,6 +132,8 @@ class Processes:
         self._kill_at_s = 0.0
         self._server_beat = (0, 0.0)
         self._server_stood_still = False
+        self._server_failed = ""
+        self._requests: deque[bytes] = deque()
         self._incidents = incidents(plan.faults.rules, plan.tree, plan.wiring)
         self._frozen_s = plan.supervision.restart.frozen_s + BEAT_S
         # In lockstep a cycle may take any time.
@@ -142,7 +149,7 @@ class Processes:
 
     def __exit__(self, *error: object) -> None:
         # Then the server ends the recorder in order, so that its file is whole, others at once.
-        self.server.close()
+        self.server.end()
         self._ready.close()
         for process in self.own:
             if process.link is not None:
@@ -245,7 +252,7 @@ class Processes:
 
         Raises FailureError: the run cannot go on.
         """
-        self.server.send_requests()
+        self._send_requests()
         heard = list(self._events(timeout_s))
         now_s = self._now_s()
         self.ran_s += min(now_s - self._looked_at_s, _LONGEST_STEP_S)
@@ -262,27 +269,60 @@ class Processes:
         return heard
 
     def _events(self, timeout_s: float) -> _Heard:
-        is_gone = self.server.process.poll() is not None
+        is_gone = self.server.side.process.poll() is not None
         for key, _ in self._ready.select(timeout_s):
             if key.data is not None:
                 yield from self._said(key.data)
                 continue
-            for packet in self.server.packets():
-                if not packet:
+            while (packet := self._packet()) is not None:
+                if not packet[0]:
                     is_gone = True
                     break
-                event = decode_event(packet)
-                if isinstance(event, Started | Exited) and event.agent in self._by_name:
-                    process = self[event.agent]
-                    if isinstance(event, Exited):
-                        yield from self._said(process, to_the_end=True)
-                    yield process, self._note(process, event)
-                elif isinstance(event, Failed):
-                    self.server.failure = event.text
+                yield from self._heard(*packet)
         if is_gone:
-            server = f"the fork server (process {self.server.process.pid})"
-            why = self.server.failure or "it was killed or ended by itself"
-            raise FailureError(f"{server} is gone, and with it all processes of the run: {why}")
+            why = self._server_failed or "it was killed or ended by itself"
+            what = f"the {self.server.name} is gone, and with it all processes of the run"
+            raise FailureError(f"{what}: {why}")
+
+    def _packet(self) -> tuple[bytes, list[int]] | None:
+        """Return an event of the server, with a link; an empty one if it is gone; None: none."""
+        try:
+            event, links, *_ = socket.recv_fds(self.server.control, _LARGEST_EVENT, 1)
+        except BlockingIOError:
+            return None
+        except ConnectionResetError:
+            return b"", []
+        return event, links
+
+    def _heard(self, packet: bytes, links: list[int]) -> _Heard:
+        event = decode_event(packet)
+        if isinstance(event, Failed):
+            self._server_failed = event.text
+        if not isinstance(event, Started | Exited):
+            return
+        process = self[event.agent]
+        if isinstance(event, Exited):
+            yield from self._said(process, to_the_end=True)
+        for link in links:
+            process.link = socket.socket(fileno=link)
+            process.link.setblocking(False)
+            self._ready.register(process.link, selectors.EVENT_READ, process)
+        yield process, self._note(process, event)
+
+    def ask(self, request: Request) -> None:
+        """Ask the fork server for something."""
+        self._requests.append(msgspec.json.encode(request))
+        self._send_requests()
+
+    def _send_requests(self) -> None:
+        """Send requests while there is room, without blocking.
+
+        A server that forks hundreds does not read before its events are read.
+        """
+        with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
+            while self._requests:
+                self.server.control.send(self._requests[0])
+                self._requests.popleft()
 
     def _said(
         self, process: Process, *, to_the_end: bool = False
@@ -393,7 +433,7 @@ class Processes:
         if self.server_stands_still != self._server_stood_still:
             self._server_stood_still ^= True
             does = "stands still" if self._server_stood_still else "goes on"
-            self._say(f"the fork server (process {self.server.process.pid}) {does}")
+            self._say(f"the {self.server.name} {does}")
         is_judged = self._plan.restarts or self._plan.timing.lockstep or not self.has_begun
         for process in self.own:
             old, process.beat = process.beat, self.table.read(process.name)
@@ -573,12 +613,8 @@ class Processes:
             if process.kind == "recorder" and not self.has_begun:  # Nothing is recorded yet.
                 self._folder.recording.unlink(missing_ok=True)
         self._hang_up(process)
-        process.link, theirs = socket.socketpair()
-        process.link.setblocking(False)
-        self._ready.register(process.link, selectors.EVENT_READ, process)
-        folder = self._folder
-        request = Start(str(folder.plan), str(folder.logs), process.name, again=self.has_begun)
-        self.server.ask(request, theirs)
+        plan, logs, earlier = self._folder.plan, self._folder.logs, len(process.starts_s)
+        self.ask(Start(str(plan), str(logs), process.name, earlier, again=self.has_begun))
 
     def _hang_up(self, process: Process) -> None:
         if process.link is not None:
@@ -613,4 +649,4 @@ class Processes:
         """Send a signal, by the fork server: no other process can have the same number there."""
         if process.pid and process.exited is None:
             process.was_killed |= number == signal.SIGKILL
-            self.server.ask(SendSignal(process.name, int(number)))
+            self.ask(SendSignal(process.name, int(number)))

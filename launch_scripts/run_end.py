@@ -124,7 +124,7 @@ def _read(
     is_known = not recorded.ended_early and PLANT not in plan.elsewhere
     try:
         with RunReader(folder) as run:
-            overview, gaps = read_through(run, None, collector, is_known * recorded.cycles)
+            overview, gaps = read_through(run, collector, is_known * recorded.cycles)
             if recorded.cycles:
                 with suppress(InputError):  # It has no complete cycle.
                     series = collected(collector, run)

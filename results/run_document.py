@@ -142,21 +142,6 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
         return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
 
     @property
-    def end(self) -> str:
-        """How the run ended, in words."""
-        covered = f"after {self.cycles:,} of {self.planned_cycles:,} cycles"
-        parts = []
-        if self.interrupted:
-            parts.append(f"interrupted {covered}")
-        elif self.cycles < self.planned_cycles:
-            parts.append(f"ended early, {covered}")
-        if self.given_up:
-            parts.append(f"given up: {listed([*self.given_up])}")
-        if self.recording_ended or self.recording_gaps:
-            parts.append(self.recording_ended or "recording has gaps")
-        return "; ".join(parts) or "over"
-
-    @property
     def recording_gaps(self) -> list[range]:
         """The cycles in which the recorder did not hear the plant."""
         spans = self.recording.unrecorded if self.recording else ()
@@ -265,7 +250,7 @@ class Outcome(NamedTuple):
     """How a run ended: every command, page and report asks here.
 
     The document and the failure are in the run's folder, `stop_cycle` is in its recording: none of
-    them is there while the run goes on.
+    them is there while the run goes on. `planned_cycles` counts where there is no document.
     """
 
     document: RunDocument | None = None
@@ -274,25 +259,39 @@ class Outcome(NamedTuple):
     planned_cycles: int = 0
 
     @property
+    def _cycles(self) -> tuple[int | None, int]:
+        """Number of cycles that took place, None if unknown, and of those planned."""
+        if self.document is None:
+            return self.stop_cycle, self.planned_cycles
+        return self.document.cycles, self.document.planned_cycles
+
+    @property
     def kind(self) -> End:
+        cycles, planned = self._cycles
         if self.failure:
             return "failed"
-        if self.document is not None and self.document.interrupted:
-            return "interrupted"
-        if self.stop_cycle is None:
+        if cycles is None:
             return "unfinished"
-        return "interrupted" if self.stop_cycle < self.planned_cycles else "over"
+        is_asked = self.document is not None and self.document.interrupted
+        return "interrupted" if is_asked or cycles < planned else "over"
 
     @property
     def text(self) -> str:
-        if self.failure:
-            return f"failed: {self.failure}"
-        if self.document is not None:
-            return self.document.end
-        if self.stop_cycle is None:
-            return "the recording stops before the run's end"
-        covered = f" after {self.stop_cycle:,} of {self.planned_cycles:,} cycles"
-        return self.kind + covered * (self.kind == "interrupted")
+        document, (cycles, planned) = self.document, self._cycles
+        parts = []
+        match self.kind:
+            case "failed":
+                return f"failed: {self.failure}"
+            case "unfinished":
+                return "the recording stops before the run's end"
+            case "interrupted":
+                how = "interrupted" if document is None or document.interrupted else "ended early,"
+                parts.append(f"{how} after {cycles:,} of {planned:,} cycles")
+        if document is not None and document.given_up:
+            parts.append(f"given up: {listed([*document.given_up])}")
+        if document is not None and (document.recording_ended or document.recording_gaps):
+            parts.append(document.recording_ended or "recording has gaps")
+        return "; ".join(parts) or "over"
 
 
 def outcome_of(run: RunReader) -> Outcome:
@@ -301,11 +300,11 @@ def outcome_of(run: RunReader) -> Outcome:
     return Outcome(document, failure_in(folder), run.stop_cycle, planned)
 
 
-def overview_of(run: RunReader, cycles: range | None = None) -> Overview:
+def overview_of(run: RunReader) -> Overview:
     """Return what a recording holds: as known since the end of the run, or else by reading it."""
     document = document_in(run.path.parent, run.plan.run_id)
-    if cycles is None and document is not None and document.recording is not None:
+    if document is not None and document.recording is not None:
         known_ns = run.path.with_name(SUMMARY_NAME).stat().st_mtime_ns
         if known_ns >= max(os.fstat(file.fileno()).st_mtime_ns for file in run.files):
             return replace(document.recording, path=str(run.path))
-    return read_overview(run, cycles)
+    return read_overview(run)

@@ -58,7 +58,7 @@ def _pace_rows(summary: RunDocument) -> Iterator[Row]:
     rate, cycle_s, planned = summary.cycles_per_s, summary.cycle_s, summary.planned_cycles
     note = f"of {cycle_s:g} s"
     if summary.cycles < planned:
-        note += f"; {summary.end}"
+        note += f"; {Outcome(summary).text}"
     yield "Cycles", summary.cycles, "", note
     yield "Cycle rate", Number(rate, 1), "/s", f"{rate * cycle_s:,.0f} x real time"
     yield "Wall time", Number(summary.wall_s, 1), "s", f"after {summary.startup_s:.1f} s to start"

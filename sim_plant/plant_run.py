@@ -47,22 +47,20 @@ def run_plant(
     plan: RunPlan,
     make_plant: Callable[[], Agent[PlantState]],
     link: LauncherLink,
-    patience_s: float,
 ) -> int:
-    """Join the bus and lead the run; all agents must appear within the patience."""
+    """Join the bus and lead the run."""
 
     def run() -> None:
         with AgentProcess(plan, PLANT, [make_plant()], link) as process:
-            _lead(process, patience_s)
+            _lead(process)
 
     return run_guarded(PLANT, link, run)
 
 
-def _lead(process: AgentProcess, patience_s: float) -> None:
+def _lead(process: AgentProcess) -> None:
     plan, loop = process.plan, process.loop
-    _await_all(process, time.monotonic() + patience_s)
-    # Agents that have appeared answer soon; only waiting for them to appear may take longer.
-    _arm(process, time.monotonic() + min(patience_s, _ARMING_S))
+    _await_all(process)
+    _arm(process, time.monotonic() + _ARMING_S)
     lead_s = 0.0 if plan.timing.lockstep else _LEAD_S
     start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
     process.driver.publish(RUN.of(ROOT), plan.run_message("start", 0, start_time_ns))
@@ -75,14 +73,12 @@ def _lead(process: AgentProcess, patience_s: float) -> None:
     process.report()
 
 
-def _await_all(process: AgentProcess, give_up_at: float) -> None:
+def _await_all(process: AgentProcess) -> None:
+    """Wait until all agents are on the bus, or the launcher gives up."""
     alive_key = process.plan.wiring.alive_key
-    others = {alive_key(agent): agent for agent in process.plan.agents if agent != PLANT}
+    others = {alive_key(agent) for agent in process.plan.agents if agent != PLANT}
     tokens = process.watch_tokens()
-    while not others.keys() <= tokens.alive():
-        if time.monotonic() > give_up_at:
-            absent = [agent for key, agent in others.items() if key not in tokens.alive()]
-            raise FailureError(f"no sign of life from {listed(absent)}")
+    while not others <= tokens.alive():
         process.beat()
         time.sleep(0.005)
 

@@ -15,7 +15,7 @@ import psutil
 from agents.process.interruption import interruptible
 from agents.process.machine_watch import MachineWatch
 from bus_schemas.errors import FailureError, InputError, listed
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import fork_server
 from launch_scripts.launch import check_processes, run_as_processes
 from launch_scripts.run_folder import RunFolder, prepare_run
 from launch_scripts.view import ViewFor
@@ -76,7 +76,7 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.timing.cycles * plan.timing.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
-    with ForkServerProcess() as server, MachineWatch() as watch, view_for(plan) as view:
+    with fork_server() as server, MachineWatch() as watch, view_for(plan) as view:
         view.say(scenario.title)
         view.say(f"{cycles_per_s(1e9 / plan.timing.cycle_wall_ns)} for {round(duration_s, 2):g} s")
         summary = run_as_processes(preparation, folder, view, began_at, server)

@@ -61,12 +61,7 @@ of `thousand` on a busy machine."""
 
 def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
     """Run a process of controllers; `rejoins`: into a run under way. Returns the exit status."""
-
-    def run() -> None:
-        while not _take_part(plan, name, link, rejoins):
-            log.info("%s waits for another run: the plant has gone", name)
-
-    return run_guarded(name, link, run)
+    return run_guarded(name, link, lambda: _take_part(plan, name, link, rejoins))
 
 
 def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
@@ -84,8 +79,7 @@ def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
     return 0
 
 
-def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
-    """Run a process of controllers; return False if the plant disappeared, and may come back."""
+def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> None:
     agents = [controller(plan, member) for member in plan.wiring.members[name]]
     with AgentProcess(plan, name, agents, link) as process:
         log.info("%s is on the bus", name)
@@ -98,13 +92,10 @@ def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> b
                 if link.dismissed:
                     break
                 if process.plant_is_gone() and not process.driver.finished:
-                    if link.by_hand:
-                        return False
                     raise FailureError("the plant is gone")
             if _is_over(process, link):
                 break
         process.report()
-    return True
 
 
 def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
@@ -159,7 +150,7 @@ class AgentProcess:
             disturbed = DeviceFaults(plan.faults.device).disturbed
             self._bus.change_device_puts(partial(disturbed, cycle_time_ns=self.loop.times.time_ns))
         self.watch_tokens = self._bus.watch_tokens
-        self._tokens = self.watch_tokens() if is_away or link.by_hand else None
+        self._tokens = self.watch_tokens() if is_away or not link.table else None
         self._plant_gone_at = inf
         self._given_up = 0
         self.beat()
@@ -215,7 +206,7 @@ class AgentProcess:
             self.driver.advance(loop)
 
     def plant_is_gone(self) -> bool:
-        """Whether the plant has disappeared and, if it is on another host, does not come back.
+        """Whether the plant has disappeared and does not come back.
 
         If the launcher dies, nothing else ends an agent there, or one that was started by hand.
         """
@@ -225,8 +216,6 @@ class AgentProcess:
                 if self.loop.times.stop_heard:
                     patience_s = 0.0
                 self._plant_gone_at = inf if is_there else time.monotonic() + patience_s
-                if self.link.by_hand and not is_there:
-                    return True
         return time.monotonic() > self._plant_gone_at
 
     def await_plant(self) -> None:

@@ -66,7 +66,7 @@ class Finished(Event, frozen=True):
 
 
 class Started(Event, frozen=True):
-    """The fork server has started a process."""
+    """The fork server has started a process; the launcher's end of the link comes with this."""
 
     agent: str
     pid: int
@@ -138,14 +138,16 @@ class Failed(Event, frozen=True):
 
 
 class Start(msgspec.Struct, frozen=True, tag=True):
-    """Start a process; its end of the link to the launcher comes with this.
+    """Start a process.
 
-    `plan` is a path, `logs` a folder. `again`: it joins a run that is under way.
+    `plan` is a path, `logs` a folder. `earlier`: How many processes the agent had before this one.
+    `again`: it joins a run that is under way.
     """
 
     plan: str
     logs: str
     agent: str
+    earlier: int = 0
     again: bool = False
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import socket
-import sys
 from functools import reduce
 from operator import or_
 
@@ -18,7 +17,7 @@ _decoder: msgspec.json.Decoder[Event] = msgspec.json.Decoder(reduce(or_, Event._
 
 
 class LauncherLink:
-    """A process's end of the link. One that was started by hand prints its events.
+    """A process's end of the link. One that was started by hand has nobody to tell.
 
     events: Socket, to which it writes a line for each event.
     table: Where the process beats.
@@ -46,11 +45,6 @@ class LauncherLink:
             self.table is not None and self.table.is_dismissed(self._name)
         )
 
-    @property
-    def by_hand(self) -> bool:
-        """Whether no launcher ends the process."""
-        return self._events is None
-
     def end_on(self, *numbers: signal.Signals) -> None:
         """Treat signals as the launcher's request to end in order."""
         for number in numbers:
@@ -69,11 +63,9 @@ class LauncherLink:
         return self.table.expected() if self.table is not None else None
 
     def tell(self, event: Event) -> None:
-        line = msgspec.json.encode(event) + b"\n"
         if self._events is None:
-            sys.stdout.buffer.write(line)
-            sys.stdout.buffer.flush()
             return
+        line = msgspec.json.encode(event) + b"\n"
         may_wait = not isinstance(event, Status)  # A launcher that stands still delays no run.
         if may_wait or self._sends_rest(may_wait=False):
             self._unsent += line

@@ -51,8 +51,8 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
 
     With keys, a certificate names the agent at the other end of a link. Without, processes of ours
     link on sockets that no other user can reach. A device cannot, so an agent that talks to one has
-    a second session for it, on TCP, in which any program may say what the device may. A run that
-    was set up by hand has neither keys nor sockets: any program may join.
+    a second session for it, on TCP, in which any program may say what the device may. A replay has
+    neither keys nor sockets: any program may join.
     """
     links, access = plan.links, plan.access
     if access.keys_folder:

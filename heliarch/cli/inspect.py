@@ -51,8 +51,10 @@ def inspect(
     """
     from recordings.read.reader import RunReader
 
-    if cycle is not None and (start or end or nodes):
-        raise InputError.of("--cycle", "expected neither --nodes, --from nor --to with it")
+    if cycle is not None and nodes:
+        raise InputError.of("--cycle", "expected no --nodes with it")
+    if nodes is None and (start or end):
+        raise InputError.of("--from, --to", "expected --nodes with it")
     output = Output(json)
     with RunReader(run) as reader:
         if cycle is not None:
@@ -62,8 +64,7 @@ def inspect(
             names, cycles = find_nodes(reader.plan.tree, nodes), reader.clock.span(start, end)
             output.write_rows(_show_nodes(reader, names, cycles, output))
         else:
-            part = None if start is None and end is None else reader.clock.span(start, end)
-            output.write(_show_overview(reader, part, output))
+            output.write(_show_overview(reader, output))
         if not reader.whole:
             text = (
                 f"{reader.path} or one of the files that continue it was cut, is damaged, or is "
@@ -131,14 +132,14 @@ def _plant_text(central: NodeCycle) -> str:
     return text if frequency_hz is None else f"{text}, frequency {frequency_hz:.3f} Hz"
 
 
-def _show_overview(run: RunReader, cycles: range | None, output: Output) -> dict[str, Any]:
-    """Print what the recording, or a part of it, holds; return the same."""
+def _show_overview(run: RunReader, output: Output) -> dict[str, Any]:
+    """Print what the recording holds; return the same."""
     from recordings.inspect.overview import facts
     from results.report.tables import devices_tables, health_table
     from results.run_document import outcome_of, overview_of
 
     with progress_bar("reading") as run.follow:
-        found, outcome = overview_of(run, cycles), outcome_of(run)
+        found, outcome = overview_of(run), outcome_of(run)
     columns = (
         key_column("signal"),
         Column("nodes"),

@@ -31,9 +31,9 @@ def launch(
 
     Example: `heliarch launch oahu --from 12:30 --duration 15m --pace 1`
     """
-    from launch_scripts.fork_server_process import ForkServerProcess
+    from launch_scripts.fork_server_process import fork_server
 
-    with ForkServerProcess() as server:  # It imports what its processes need, beside the launcher.
+    with fork_server() as server:  # It imports what its processes need, beside the launcher.
         from heliarch.cli.run import run_and_print
 
         options = RunOptions.of(span, plant, processes)

@@ -38,7 +38,7 @@ def node(
     out
         Folder of the logs; default runs/PLANT-TIME.
     """
-    from launch_scripts.fork_server_process import ForkServerProcess
+    from launch_scripts.fork_server_process import fork_server
     from launch_scripts.node import run_share, share_of
     from launch_scripts.run_folder import new_run_id, run_folder
 
@@ -53,7 +53,7 @@ def node(
     elif keys is not None:
         raise InputError.of("--keys", f"expected a plan with keys, got {plan}, which has none")
     folder = run_folder(new_run_id(run_plan.plant), out)
-    with ForkServerProcess() as server:
+    with fork_server() as server:
         number = f"{len(agents)} processes of {run_plan.plant}"
         output.say(f"{number} on {host}, logs in {folder.logs}")
         run_share(run_plan, agents, folder, server, output.say)

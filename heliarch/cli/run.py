@@ -18,7 +18,7 @@ from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import FileOptions, PageOptions
 from heliarch.cli.output import Output, do_all
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import ForkServer
 from launch_scripts.launch import check_processes, run_as_processes
 from launch_scripts.run_folder import RunFolder, prepare_run
 from launch_scripts.simulation import run_in_one_process
@@ -46,7 +46,7 @@ def run_and_print(
     options: RunOptions,
     files: FileOptions,
     pages: PageOptions,
-    server: ForkServerProcess | None = None,
+    server: ForkServer | None = None,
 ) -> int:
     """Run what was asked for and print its result. Returns the exit status."""
     output = Output(files.json)
@@ -98,7 +98,7 @@ def carry_out(
     out: Path | None,
     console: Console,
     began_at: float,
-    server: ForkServerProcess | None = None,
+    server: ForkServer | None = None,
     page: PageProcess | None = None,
 ) -> tuple[RunDocument, RunFolder]:
     """Run a plant, recorded; show it meanwhile.

@@ -147,12 +147,11 @@ class AgentStates:
     `newest` is the newest cycle of the run's own agents.
     """
 
-    def __init__(self, plan: RunPlan, first_cycle: int = 0) -> None:
-        self.newest = first_cycle - 1
-        self.gaps = gaps_of_ports(plan, first_cycle)
+    def __init__(self, plan: RunPlan) -> None:
+        self.newest = -1
+        self.gaps = gaps_of_ports(plan)
         self.missed = MissedInputs(plan)
         self._plan = plan
-        self._first_cycle = first_cycle
         self._end: int | None = None
         self._disorder = most_disorder(plan)
         devices: dict[Port[Message], str] = {
@@ -316,18 +315,17 @@ class AgentStates:
                 yield one._replace(last=min(one.last, self._limit - 1))
 
     def _absences(self, name: str) -> Iterator[AgentSpan]:
-        before = Stretch(self._first_cycle, self._first_cycle - 1, 0)
+        before = Stretch(0, -1, 0)
         for one in self._stretches(name):
             gone, begin = range(before.last + 1, one.first), one.first
             if one.is_anew and one.incarnation > before.incarnation:
                 begin = one.incarnation
-            is_restarted = one.is_anew and begin >= self._first_cycle
             if one.lost:  # How long it had published nothing is not known.
                 gone = range(begin, begin)
-            if gone or is_restarted:
+            if gone or one.is_anew:
                 first, back_in = (gone.start, one.first) if gone else (begin, begin)
                 cause = self._cause(name, before.last, one.first)
-                yield AgentSpan(name, "absent", first, len(gone), cause, is_restarted, back_in)
+                yield AgentSpan(name, "absent", first, len(gone), cause, one.is_anew, back_in)
             before = one
         gone = self._gone_at_last(name, before.last)
         if gone:

@@ -66,7 +66,6 @@ class Overview(msgspec.Struct, frozen=True, kw_only=True):
     run_id: str
     metadata: dict[str, dict[str, str]]
     whole: bool
-    first_cycle: int
     last_cycle: int
     complete_cycles: int
     planned_cycles: int
@@ -106,16 +105,12 @@ class Overview(msgspec.Struct, frozen=True, kw_only=True):
         )
 
 
-def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
-    """Read what a recording holds, or a part of it."""
-    return read_through(run, cycles)[0]
+def read_overview(run: RunReader) -> Overview:
+    return read_through(run)[0]
 
 
 def read_through(
-    run: RunReader,
-    cycles: range | None = None,
-    listener: Listener | None = None,
-    run_cycles: int = 0,
+    run: RunReader, listener: Listener | None = None, run_cycles: int = 0
 ) -> tuple[Overview, Gaps]:
     """Go through a recording once; return what it holds, and the messages of each port.
 
@@ -123,13 +118,12 @@ def read_through(
     run_cycles: How many cycles the run had, if that is known from elsewhere.
     """
     plan = run.plan
-    wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
-    states, links = AgentStates(plan, wanted.start), plan.network_faults()
+    states, links = AgentStates(plan), plan.network_faults()
     heard = listener.ports if listener else frozenset[Port[Message]]()
     touched = {port for port in plan.wiring.ports if plan.faults.rules and port.signal.is_cyclic}
     decoded = touched | set(heard)
     first_ns = last_ns = 0
-    for record in run.records(cycles=cycles):
+    for record in run.records():
         port = record.port
         states.see(record)
         last_ns = record.log_time_ns
@@ -140,7 +134,8 @@ def read_through(
             if listener is not None and port in heard:
                 listener.see(port, message)
     # If the run's end was not recorded, the cycles up to the last production were due.
-    end = min(states.end_cycle(run.stop_cycle), wanted.stop)
+    end = states.end_cycle(run.stop_cycle)
+    cycles = max(run.last_cycle + 1, run.stop_cycle or 0)
     if run.outline.closed:
         states.finish(end)
     gaps, wall_s = states.gaps, (last_ns - first_ns) / 1e9
@@ -156,13 +151,12 @@ def read_through(
         run_id=plan.run_id,
         metadata=run.metadata,
         whole=run.whole,
-        first_cycle=wanted.start,
-        last_cycle=wanted.stop - 1,
+        last_cycle=cycles - 1,
         complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles(plan.timing.cycles),
         planned_cycles=plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
-            _count(signal, gaps, wanted, end, wall_s) for signal in SIGNALS if signal in sent
+            _count(signal, gaps, cycles, end, wall_s) for signal in SIGNALS if signal in sent
         ),
         faults=dict(+links.tally),
         lost=dict(lost.most_common()),
@@ -202,18 +196,18 @@ def _see_faults(plan: RunPlan, links: NetworkFaults, port: Port[Message], messag
 def _count(
     signal: Signal[Message],
     gaps: Gaps,
-    cycles: range,
+    cycles: int,
     end: int,
     wall_s: float,
 ) -> SignalCount:
-    """Return the count of a signal in some cycles; messages were due in those before `end`."""
+    """Return the count of a signal in a run; messages were due in the cycles before `end`."""
     own = [one for port, one in gaps.items() if port.signal is signal]
     messages = sum(one.messages for one in own)
     return SignalCount(
         signal=signal.name,
         nodes=sum(1 for one in own if one.messages),
         messages=messages,
-        per_cycle=messages / len(cycles) if cycles else 0.0,
+        per_cycle=messages / cycles if cycles else 0.0,
         per_s=messages / wall_s if wall_s else 0.0,
         lost=sum(one.lost for one in own),
         repeated=sum(one.repeated for one in own),
@@ -230,9 +224,9 @@ def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     pace = "lockstep" if timing.lockstep else f"pace {timing.cycle_ns / timing.cycle_wall_ns:g}"
     scheme = f"scheme {plan.control.scheme}, actuator {plan.control.actuator}"
     yield "run", f"heliarch {origin.get('driver')}, plant {plan.plant}, {scheme}, {pace}"
-    first, last = overview.first_cycle, max(overview.last_cycle, overview.first_cycle)
-    shown = f"{first:,} to {last:,}" if overview.last_cycle >= first else "none"
-    begin, end = (f"{run.clock.local(cycle):%F %T}" for cycle in (first, last))
+    last = max(overview.last_cycle, 0)
+    shown = f"0 to {last:,}" if overview.last_cycle >= 0 else "none"
+    begin, end = (f"{run.clock.local(cycle):%F %T}" for cycle in (0, last))
     yield "time", f"{begin} to {end}, {plan.timing.timezone}, recorded in {overview.wall_s:,.1f} s"
     yield (
         "cycles",

@@ -81,10 +81,9 @@ class Stretch(NamedTuple):
 class _Process:
     """The numbers of one process that were recorded, as spans in order."""
 
-    def __init__(self, series: _Series, begin: int) -> None:
+    def __init__(self, series: _Series) -> None:
         self.incarnation = series.incarnation
         self.newest_cycle = series.last_cycle
-        self._begin = begin
         self._spans = [(series.first, series.last)]
 
     def has_begun_anew(self, series: _Series) -> bool:
@@ -114,11 +113,11 @@ class _Process:
     @property
     def lost(self) -> int:
         between = sum(two[0] - one[1] - 1 for one, two in pairwise(self._spans))
-        return max(self._spans[0][0] - self._begin, 0) + between
+        return self._spans[0][0] + between
 
 
 class PortGaps:
-    """The messages of one port from `first_cycle` on, and what is missing between them.
+    """The messages of one port, and what is missing between them.
 
     The messages of each process are numbered from 0. If numbers that were used come again in a
     newer cycle, a device has restarted; if not, a message came again.
@@ -126,10 +125,9 @@ class PortGaps:
     A message is due in every `step`-th cycle, or never if that is 0.
     """
 
-    def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
+    def __init__(self, step: int = 0) -> None:
         self.messages = 0
         self._step = step
-        self._first_cycle = first_cycle
         self._series: list[_Series] = []
         self._repeated = 0
         self._found: tuple[list[Stretch], int] | None = None
@@ -167,7 +165,7 @@ class PortGaps:
     def newest(self) -> int:
         """The newest cycle of which there is a due message."""
         stretches = self.stretches()
-        return stretches[-1].last if stretches else self._first_cycle - 1
+        return stretches[-1].last if stretches else -1
 
     def cycles(self, end: int) -> int:
         """Return of how many due cycles before one there is a message."""
@@ -182,8 +180,7 @@ class PortGaps:
         """Return in how many cycles before one a message was due and none came."""
         if not self._step:
             return 0
-        first_due = -(-self._first_cycle // self._step) * self._step
-        return len(range(first_due, end, self._step)) - self.cycles(end)
+        return len(range(0, end, self._step)) - self.cycles(end)
 
     def _evaluated(self) -> tuple[list[Stretch], int]:
         if self._found is None:
@@ -198,9 +195,8 @@ class PortGaps:
         for series in sorted(self._series, key=lambda one: one.place):
             begins = process is None or process.has_begun_anew(series)
             if process is None or begins:
-                is_part = process is None and self._first_cycle > 0
                 lost += process.lost if process else 0
-                process = _Process(series, series.first if is_part else 0)
+                process = _Process(series)
                 again = 0
             else:
                 again = process.add(series)
@@ -232,22 +228,21 @@ class PortGaps:
                 stretches[-1] = stretches[-1]._replace(last=first - max(self._step, 1))
         elif stretches and last <= stretches[-1].last:
             return
-        is_part = not stretches and self._first_cycle > 0
         missing = series.first - before.last - 1 if before else series.first
         stretches.append(
             Stretch(
                 max(first, stretches[-1].last + 1) if stretches else first,
                 last,
                 series.incarnation,
-                0 if is_part else max(missing, 0),
+                max(missing, 0),
                 begins and (bool(stretches) or series.incarnation > 0),
             )
         )
 
 
-def gaps_of_ports(plan: RunPlan, first_cycle: int = 0) -> dict[Port[Message], PortGaps]:
+def gaps_of_ports(plan: RunPlan) -> dict[Port[Message], PortGaps]:
     logged = sorted((port for port in plan.wiring.ports if port.signal.logged), key=str)
-    return {port: PortGaps(due_step(plan, port), first_cycle) for port in logged}
+    return {port: PortGaps(due_step(plan, port)) for port in logged}
 
 
 class MissedInputs:

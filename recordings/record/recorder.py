@@ -155,9 +155,7 @@ class Recorder:
         expected = link.expected_messages()
         if expected is not None:
             closing.expected = expected
-        # A recorder that was started by hand is not asked to end: it ends with the run.
-        is_over = link.by_hand and self._listener.progress.stop_cycle is not None
-        if expected is not None or link.dismissed or is_over:
+        if expected is not None or link.dismissed:
             closing.ask(self._now_s())
 
     def _tell_status(self) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from agents.plan import changed
 from agents.process.events import Status
 from bus_schemas.errors import FailureError, listed
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import fork_server
 from launch_scripts.launch import run_as_processes
 from launch_scripts.run_folder import RunFolder
 from recordings.record.complaints import UNDECODABLE, UNKNOWN, WRONG_SENDER
@@ -129,7 +129,7 @@ class Conformance:
         view = _Attendant(self.say, self.device, folder.plan, away)
         self.findings.note("token", "PASS")
         try:
-            with ForkServerProcess() as server:
+            with fork_server() as server:
                 summary = run_as_processes(preparation, folder, view, time.monotonic(), server)
         except FailureError as failure:
             return folder, failure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from signal import SIGKILL, Signals
 from typing import Any, Literal, cast
@@ -44,33 +44,34 @@ class ServerByHand:
     """In place of the fork server: the test says what its processes do."""
 
     def __init__(self) -> None:
-        self.control, self.theirs = socket.socketpair()
+        self.control, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.control.setblocking(False)
+        self.theirs.setblocking(False)
         self.beats = os.memfd_create("beats")
-        self.process = cast("Any", type("Process", (), {"pid": 1, "poll": lambda self: None})())
-        self.failure = ""
-        self.asked: list[Request] = []
+        self.name = "fork server"
+        self.side = cast("Any", self)
+        self.process = cast("Any", type("Process", (), {"poll": lambda self: None})())
         self.links: dict[str, socket.socket] = {}
-        self._packets: list[bytes] = []
+        self._asked: list[Request] = []
 
-    def ask(self, request: Request, link: socket.socket | None = None) -> None:
-        self.asked.append(request)
-        if isinstance(request, Start) and link is not None:
-            self.links[request.agent] = link
-            self.tell(Started(request.agent, NOBODY))
+    @property
+    def asked(self) -> list[Request]:
+        """Everything that it was asked for; each start is answered."""
+        with suppress(BlockingIOError):
+            while True:
+                request = msgspec.json.decode(self.theirs.recv(4096), type=Request)
+                self._asked.append(request)
+                if isinstance(request, Start):
+                    ours, self.links[request.agent] = socket.socketpair()
+                    with ours:
+                        self.tell(Started(request.agent, NOBODY), ours)
+        return self._asked
 
-    def tell(self, event: Event) -> None:
-        self._packets.append(msgspec.json.encode(event))
-        self.theirs.send(b"!")
+    def tell(self, event: Event, *links: socket.socket) -> None:
+        numbers = [link.fileno() for link in links]
+        socket.send_fds(self.theirs, [msgspec.json.encode(event)], numbers)
 
-    def packets(self) -> Iterator[bytes]:
-        self.control.recv(4096)
-        while self._packets:
-            yield self._packets.pop(0)
-
-    def send_requests(self) -> None:
-        """All requests are heard at once."""
-
-    def close(self) -> None:
+    def end(self) -> None:
         for one in (*self.links.values(), self.control, self.theirs):
             one.close()
         os.close(self.beats)
@@ -112,11 +113,16 @@ class Watched:
         return names[len(self.processes.own) :]
 
     def tells(self, name: str, event: Event) -> None:
+        self.look()
         self.server.links[name].send(msgspec.json.encode(event) + b"\n")
+        self.look()
+
+    def look(self) -> None:
         self.processes.look(0.0)
+        if self.server.asked:  # What it answers is heard at once.
+            self.processes.look(0.0)
 
     def joins(self, name: str) -> None:
-        self.processes.look(0.0)
         self.tells(name, Joined())
 
     def pass_by(
@@ -138,12 +144,12 @@ class Watched:
             if status is not None:
                 self.tells(RECORDER, status)
             else:
-                self.processes.look(0.0)
+                self.look()
 
     def dies(self, name: str, status: int = -9, cpu_s: float = 0.0) -> None:
         self.server.links[name].close()
         self.server.tell(Exited(name, status, cpu_s))
-        self.processes.look(0.0)
+        self.look()
 
     def got(self, number: Signals) -> list[str]:
         return [
@@ -164,7 +170,7 @@ def watched(tmp_path: Path) -> Iterator[Callable[..., Watched]]:
 
     yield make
     for one in made:
-        one.server.close()
+        one.server.end()
 
 
 Make = Callable[..., Watched]

@@ -25,7 +25,7 @@ from bus_schemas.signals import GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import RECORDER
 from heliarch.cli.live_view import PlainView
-from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.fork_server_process import fork_server
 from launch_scripts.launch import run_as_processes
 from launch_scripts.processes import Processes
 from launch_scripts.run_folder import RunFolder
@@ -281,7 +281,7 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
 
     def run(number: int) -> tuple[int, int, int]:
         preparation = prepare(scenario, RunOptions(duration="5"), f"run{number}")
-        with ForkServerProcess() as server:
+        with fork_server() as server:
             view = PlainView(Console(file=io.StringIO()), preparation.plan)
             run_as_processes(preparation, RunFolder(tmp_path / f"run{number}"), view, 0.0, server)
         gc.collect()  # what earlier tests left behind would be counted in the first run alone
@@ -296,13 +296,16 @@ def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path
     preparation = prepare(load_scenario(plant), RunOptions(duration="5"), "asked")
     folder = RunFolder(tmp_path / "run")
     with reserved_ports(preparation.plan.links.listening) as tcp_ports:
-        plan, server = folder.fill(preparation, tcp_ports), ForkServerProcess()
-        with Processes(server, plan, (RECORDER,), folder, print) as processes:
-            server.process.send_signal(signal.SIGSTOP)
+        plan = folder.fill(preparation, tcp_ports)
+        with (
+            fork_server() as server,
+            Processes(server, plan, (RECORDER,), folder, print) as processes,
+        ):
+            server.side.process.send_signal(signal.SIGSTOP)
             for _ in range(2000):  # More than the socket between them takes.
-                server.ask(events.SendSignal(RECORDER, signal.SIGCONT))
+                processes.ask(events.SendSignal(RECORDER, signal.SIGCONT))
             processes.start()
-            server.process.send_signal(signal.SIGCONT)
+            server.side.process.send_signal(signal.SIGCONT)
             while not processes[RECORDER].is_there:
                 processes.look()
     assert_none_left(folder.path)

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import sys
-from contextlib import ExitStack
 from pathlib import Path
 
 import command_line
 import msgspec
 import pytest
-from command_line import Result, python
+from command_line import Result
 from memory_runs import timeless
-from plans_by_hand import with_changes
 from running import assert_none_left, small_plant
 
 from agents.plan_file import load_plan
 from bus_schemas.messages import Dispatch, Message
 from bus_schemas.signals import SIGNALS
-from bus_schemas.tcp_ports import reserved_ports
-from bus_schemas.tree import PLANT
 from recordings.read.reader import RunReader
 from results.run_document import RunDocument
 
@@ -161,46 +154,3 @@ def test_so_do_they_by_the_clock_if_they_have_the_time(plant: str, tmp_path: Pat
             break
     assert (summary.missing_inputs, summary.skipped_cycles, summary.lost) == (0, 0, 0)
     assert ours == decided(tmp_path / "simulated", "simulate", *words)
-
-
-PLANT_ALONE = """
-from pathlib import Path
-from agents.process.launcher_link import LauncherLink
-from agents.plan_file import load_plan
-from launch_scripts.process import run_process
-plan, link = load_plan(Path("plan.json")), LauncherLink("plant")
-print(run_process("plant", plan, link, Path("."), patience_s=0.5))
-"""
-
-
-def test_a_run_can_be_repeated_with_every_process_started_by_hand_and_waits_for_the_last_one(
-    launched: tuple[Path, Result], tmp_path: Path
-) -> None:
-    folder, _ = launched
-    for name in ("profile.npz", "scenario.toml"):
-        shutil.copy(folder / name, tmp_path)
-    plan = load_plan(folder / "plan.json")
-    with reserved_ports(plan.links.listening) as ports, ExitStack() as stack:
-        plan = with_changes(plan, tcp_ports=ports)
-        (tmp_path / "plan.json").write_bytes(plan.as_json())
-
-        alone = python(PLANT_ALONE, cwd=tmp_path)
-        absent = ", ".join(agent for agent in plan.processes if agent != PLANT)
-        assert f"no sign of life from {absent}" in alone.stdout
-
-        def start(agent: str) -> subprocess.Popen[str]:
-            words = ["-m", "launch_scripts.process", agent, "--plan", "plan.json"]
-            process = subprocess.Popen(
-                [sys.executable, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True
-            )
-            stack.enter_context(process)
-            stack.callback(process.kill)
-            return process
-
-        *others, last = plan.processes
-        processes = [start(agent) for agent in others]
-        for process in processes:
-            assert any('"joined"' in line for line in process.stdout or ())
-        processes.append(start(last))
-        assert {process.wait(PATIENCE_S) for process in processes} == {0}
-    assert decisions(tmp_path) == decisions(folder)

@@ -148,6 +148,7 @@ view run --page-port -1                                                 --page-p
 report run --report nowhere/report.html                                 --report
 inspect run --nodes c1/aa                                               c1/a
 inspect run --cycle 3 --nodes c1                                        --nodes
+inspect run --from 3                                                    --nodes
 verify run --nodes c1/aa                                                --nodes
 replay run --pace nan                                                   --pace
 replay run --listen 7447                                                --listen

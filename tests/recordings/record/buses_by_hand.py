@@ -35,7 +35,6 @@ class LinkByHand:
 
     dismissed: bool = False
     expected: int | None = None
-    by_hand: bool = False
     starts: int = 0
     told: list[Event] = field(default_factory=list)
 
