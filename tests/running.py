@@ -159,9 +159,9 @@ class Heliarch:
     def wait(self) -> int:
         return self.process.wait(timeout=170)
 
-    def interrupt(self) -> int:
-        """End it with Ctrl-C; return its exit status."""
-        self.process.send_signal(signal.SIGINT)
+    def interrupt(self, number: signal.Signals = signal.SIGINT) -> int:
+        """End it, with Ctrl-C by default; return its exit status."""
+        self.process.send_signal(number)
         return self.wait()
 
     def error_text(self) -> str:

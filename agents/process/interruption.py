@@ -1,4 +1,4 @@
-"""Ctrl-C during a run. The command itself handles SIGTERM."""
+"""A run that is asked to end: by Ctrl-C, or by SIGTERM as `docker stop` and systemd send it."""
 
 from __future__ import annotations
 
@@ -26,17 +26,19 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Count Ctrl-C instead of raising KeyboardInterrupt; where it is ignored, it stays ignored."""
+    """Count Ctrl-C and SIGTERM instead of raising; a signal that is ignored stays ignored."""
     interruption = Interruption()
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # As of a command in the background.
-        yield interruption
-        return
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
         interruption.count += 1
 
-    before = signal.signal(signal.SIGINT, interrupt)
+    before = {
+        number: signal.signal(number, interrupt)
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if signal.getsignal(number) is not signal.SIG_IGN  # As of a command in the background.
+    }
     try:
         yield interruption
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -27,7 +27,10 @@ OK: Final = 0
 FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
-"""Ctrl-C: 128 and the number of the signal, as shells count. So SIGTERM is 143, SIGHUP 129."""
+"""Ctrl-C: 128 and the number of the signal, as shells count. So SIGTERM is 143, SIGHUP 129.
+
+A run that SIGTERM asked to end has this status too, since it ends like one after Ctrl-C.
+"""
 
 _ONCE_S: Final = 1.0
 """Signals so soon after each other count as one: `timeout` sends two."""

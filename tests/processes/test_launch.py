@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import command_line
@@ -9,7 +10,7 @@ import msgspec
 import pytest
 from command_line import Result
 from memory_runs import timeless
-from running import assert_none_left, small_plant
+from running import Start, assert_none_left, small_plant
 
 from agents.plan_file import load_plan
 from bus_schemas.messages import Dispatch, Message
@@ -127,6 +128,18 @@ def test_processes_decide_bit_for_bit_what_one_process_decides_and_all_is_record
     assert counts["telemetry"] == counts["command"] == CYCLES * 5
     assert {name: recorded.count(name) for name in counts} == counts
     assert (summary.lost, summary.dropped) == (0, {})
+
+
+def test_a_run_that_sigterm_ends_completes_its_cycle_and_its_files(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10")
+    run.until_recorded(5)
+    assert run.interrupt(signal.SIGTERM) == 130, run.error_text()
+    summary = summary_of(run.folder)
+    assert summary.interrupted
+    assert summary.figures is not None
+    assert summary.lost == 0
 
 
 @pytest.mark.parametrize(("processes", "number"), [("cluster", 9), ('["z2"]', 10)])

@@ -56,7 +56,7 @@ QUICK: Final = {
 """For each command words with which it has done its work in seconds; `view` serves until Ctrl-C."""
 
 LONG: Final = {
-    "launch": (SIGTERM, "small.toml --pace 1"),
+    "launch": (SIGHUP, "small.toml --pace 1"),
     "conform": (SIGINT, "c1/inv01 --scenario small.toml --command 'sleep 100'"),
     "inspect": (SIGTERM, "long.mcap --nodes '*'"),  # Nobody reads it: it waits in its output.
     "replay": (SIGHUP, "long.mcap --pace 1"),
