@@ -17,7 +17,7 @@ from agents.control.storage import Pursuit, StorageLaw
 from agents.cycle import Deadlines
 from agents.faults import ProcessFault
 from agents.plan_parts import Access, Control, Faults, PlannedOrder, Site, Supervision, Timing
-from agents.settings import GridSettings, StorageSettings
+from agents.settings import GridSettings, Revert, StorageSettings
 from bus_schemas.faults import LinkFault
 from bus_schemas.messages import PROTOCOL, Run
 from bus_schemas.network_faults import NetworkFaults
@@ -65,6 +65,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def storage_laws(self) -> dict[str, StorageLaw]:
         return {one.path: one.law(self.timing.cycle_s) for one in self.storages}
 
+    @property
+    def storage_revert(self) -> Revert:
+        """What storages do without new commands: by then nobody counts on them any more."""
+        return Revert(max(self.control.hold_cycles, 1) * self.timing.cycle_s, to=0.0)
+
     @cached_property
     def pursuit(self) -> Pursuit:
         """How the inverters together follow what they are asked for, in turns."""
@@ -84,7 +89,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         """How the target is corrected. Real inverters are read a cycle later, on unknown ramps."""
         site, control, cycle_s = self.site, self.control, self.timing.cycle_s
         settings = [site.settings_of(leaf) for leaf in self.tree.leaves]
-        is_real = bool(site.devices or site.meter)
+        is_real = bool(site.meter or dict(site.devices).keys() & set(self.tree.leaves))
         delay_s = max(one.delay_s or 0.0 for one in settings) + (cycle_s if is_real else 0.0)
         turn_s = cycle_s * control.periods.cycles[0]
         return CorrectionLaw(

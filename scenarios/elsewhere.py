@@ -1,8 +1,8 @@
-"""Agents and inverters of a run that the launcher does not start.
+"""Agents and devices of a run that the launcher does not start.
 
 External agents are devices of the user's own in place of a process: each finds the bus by the run's
 `plan.json`, and `docs/wire.md` says what it must do. Agents on other hosts are started by
-`heliarch node`. Real inverters answer over Modbus.
+`heliarch node`. Real inverters and storages answer over Modbus.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _PORTS: Final = range(1024, 65_536)
 
 
 class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A real inverter, or the plant's real meter.
+    """A real inverter or storage, or the plant's real meter.
 
-    node: Path of the inverter: `c2/inv07`; or `meter`.
+    node: Its path: `c2/inv07`; or `meter`.
     address: `modbus://host:port/unit`, with SunSpec models.
     profile: How it wants to be read and written, where that cannot be detected.
     """
@@ -103,10 +103,10 @@ def split_devices(options: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def real_inverters(
+def real_devices(
     tables: Iterable[DeviceTable], where: str, options: Sequence[str], tree: ControlTree
 ) -> tuple[tuple[str, str], ...]:
-    """Return name and address of each real inverter, and of the meter, `meter`.
+    """Return name and address of each real device, and of the meter, `meter`.
 
     Options replace what the scenario says.
 
@@ -117,19 +117,21 @@ def real_inverters(
     for node, address in stated.items():
         parse_address(address, f"{where}: {node}")
     addresses = stated | chosen
-    known = (*tree.leaves, METER_NODE)
+    known = (*tree.devices, METER_NODE)
     for node in addresses:
         place = "--device" if node in chosen else where
         if node not in known:
             raise InputError(f"{place}: {not_one_of(known, node)}")
-        if node == METER_NODE and not addresses.keys() >= set(tree.leaves):
-            expected = "a device for each inverter, since it cannot meter simulated ones"
+        if node == METER_NODE and not addresses.keys() >= set(tree.devices):
+            expected = (
+                "a device for each inverter and storage, since it cannot meter simulated ones"
+            )
             raise InputError(f"{place}: {METER_NODE}: expected {expected}")
     return tuple((node, addresses[node]) for node in known if node in addresses)
 
 
 def check_devices(plan: RunPlan) -> None:
-    """Refuse real inverters where a run cannot have them."""
+    """Refuse real devices where a run cannot have them."""
     if not plan.site.devices:
         return
     pace = plan.timing.cycle_wall_ns and plan.timing.cycle_ns / plan.timing.cycle_wall_ns

@@ -29,7 +29,7 @@ from scenarios.elsewhere import (
     check_base_port,
     external_agents,
     read_address,
-    real_inverters,
+    real_devices,
 )
 from scenarios.fault_rules import fault_rules
 from scenarios.power_sources import power_source
@@ -261,7 +261,7 @@ def _plan(
         options.on or (), day.tree, external, options.address, secure=bool(keys_folder)
     )
     where = f"{scenario_file.path}: devices"
-    devices = real_inverters(scenario.devices, where, options.devices or (), day.tree)
+    devices = real_devices(scenario.devices, where, options.devices or (), day.tree)
     plan = RunPlan(
         run_id=run_id,
         plant=scenario.name,

@@ -131,7 +131,7 @@ class PlantOptions:
 @Parameter("*")
 @dataclass(frozen=True)
 class ProcessOptions:
-    """External agents, real inverters, keys, and how the processes use the machine.
+    """External agents, real devices, keys, and how the processes use the machine.
 
     Parameters
     ----------
@@ -139,8 +139,8 @@ class ProcessOptions:
         Do not start this agent; wait for your own device: c2/inv07, c2, central or plant. May be
         given several times.
     devices
-        Use a real inverter, over Modbus TCP: NODE=modbus://10.0.0.7/1. With one for each inverter,
-        meter=ADDRESS is the plant's real meter. May be given several times.
+        Use a real inverter or storage, over Modbus TCP: NODE=modbus://10.0.0.7/1. With one for
+        each of them, meter=ADDRESS is the plant's real meter. May be given several times.
     operator
         Take orders over Modbus TCP at this address: modbus://127.0.0.1:5030. The plant is one
         SunSpec unit there.

@@ -1,14 +1,15 @@
-"""A plant of which some inverters are real: they measure what is simulated of the others.
+"""A plant of which some inverters or storages are real: they measure what others simulate.
 
 An inverter that says nothing for too long is lost: the plant neither meters nor counts what it
 last gave. What it may still give is `unknown_kw` of `production`: the plant assumes that it holds
-its last limit until its revert time is over, and its revert power from then on.
+its last limit until its revert time is over, and its revert power from then on. A storage that is
+lost counts as 0 kW.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import ceil, inf, isnan, nan
 from typing import Final, NamedTuple, Protocol
@@ -26,21 +27,24 @@ from bus_schemas.signals import COMMAND
 from sim_plant.inverters import PlantState
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
+from sim_plant.storage import Store
 
 METER_PLACE: Final = -1
 """The position of the meter at the point of interconnection, beside those of inverters."""
 
 
 class Reading(NamedTuple):
-    """What an inverter or the meter says of itself, at a monotonic time.
+    """What a device or the meter says of itself, at a monotonic time.
 
     An inverter may not say what it could give: NaN. Its limit is the one in force, or its rating.
+    energy_kwh: What is stored in a storage.
     """
 
     time_ns: int
     power_kw: float
     available_kw: float = nan
     limit_kw: float = nan
+    energy_kwh: float = nan
 
     @property
     def maximum_kw(self) -> float:
@@ -83,17 +87,18 @@ class _Limited:
 
 
 class PlantWithDevices(Plant):
-    """A simulated plant, with the readings of real inverters in place of what is simulated."""
+    """A simulated plant, with the readings of real devices in place of what is simulated."""
 
     def __init__(self, plan: RunPlan, profile: Profile, devices: RealInverters) -> None:
         super().__init__(plan, profile)
         self._devices = devices
         self._has_meter = bool(plan.site.meter)
-        self._positions = {node: plan.tree.leaves.index(node) for node, _ in plan.site.devices}
+        self._positions = {node: plan.tree.devices.index(node) for node, _ in plan.site.devices}
         tree, site, cycle_s = plan.tree, plan.site, plan.timing.cycle_s
         self._limited = {
             at: _Limited(site.settings_of(node), tree.rating_kw(node), cycle_s)
             for node, at in self._positions.items()
+            if not tree.is_storage(node)
         }
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
@@ -117,11 +122,16 @@ class PlantWithDevices(Plant):
             if position in lost:  # It does not hear the command.
                 inputs[port] = None
         state, outputs = super().step(state, msgspec.structs.replace(turn, inputs=inputs))
+        state = _measured(state, fresh, lost)
         for _, message in outputs:
             if isinstance(message, Production):
-                last = [(state.limit_kw[at], newest[at].maximum_kw) for at in lost if at in newest]
-                self._correct(message, fresh, float(sum(map(min, last))))
-        return _measured(state, fresh, lost), outputs
+                last = [
+                    (state.limit_kw[at], newest[at].maximum_kw)
+                    for at in lost
+                    if at in newest and at in self._limited
+                ]
+                self._correct(message, state.stores, fresh, float(sum(map(min, last))))
+        return state, outputs
 
     def _sensed(self, outputs: list[Delivery], fresh: Mapping[int, Reading]) -> Iterator[Delivery]:
         """Yield what the plant senses, without what devices that say nothing would tell."""
@@ -139,18 +149,25 @@ class PlantWithDevices(Plant):
             yield port, message
 
     def _correct(
-        self, production: Production, fresh: Mapping[int, Reading], assumed_kw: float
+        self,
+        production: Production,
+        stores: Sequence[Store],
+        fresh: Mapping[int, Reading],
+        assumed_kw: float,
     ) -> None:
         """Write what devices produced into what the plant produced: nothing if they are lost."""
         mpp_kw = np.array(production.inverter_mpp_kw)
         power_kw = np.array(production.inverter_power_kw)
-        for at in self._positions.values():
+        for at in self._limited:
             reading = fresh.get(at, Reading(0, 0.0))
             mpp_kw[at], power_kw[at] = reading.maximum_kw, reading.power_kw
         production.inverter_mpp_kw = tuple(mpp_kw.tolist())
         production.inverter_power_kw = tuple(power_kw.tolist())
+        if stores:
+            production.storage_power_kw = tuple(store.power_kw for store in stores)
+            production.storage_energy_kwh = tuple(store.energy_kwh for store in stores)
+        of_storages_kw = sum(store.power_kw for store in stores)
         production.available_kw = net_kw(float(mpp_kw.sum()), self._grid)
-        of_storages_kw = sum(kw for kw in production.storage_power_kw or ())
         production.delivered_kw = net_kw(float(power_kw.sum()) + of_storages_kw, self._grid)
         production.unknown_kw = assumed_kw
         if METER_PLACE in fresh:  # It also counts what the lost ones give.
@@ -158,9 +175,18 @@ class PlantWithDevices(Plant):
 
 
 def _measured(state: PlantState, fresh: Mapping[int, Reading], lost: list[int]) -> PlantState:
+    """Return the state with what devices read in place of what was simulated of them."""
     power_kw, limit_kw = state.power_kw.copy(), state.limit_kw.copy()
-    for position, reading in fresh.items():
-        if position != METER_PLACE:
-            power_kw[position], limit_kw[position] = reading.power_kw, reading.limit_kw
-    power_kw[lost] = 0.0
-    return replace(state, power_kw=power_kw, limit_kw=limit_kw)
+    stores = list(state.stores)
+    readings = [*fresh.items(), *((at, None) for at in lost)]
+    for at, reading in readings:
+        if at >= len(power_kw):
+            store = stores[at - len(power_kw)]
+            energy_kwh = store.energy_kwh if reading is None else reading.energy_kwh
+            given_kw = 0.0 if reading is None else reading.power_kw
+            stores[at - len(power_kw)] = store._replace(energy_kwh=energy_kwh, power_kw=given_kw)
+        elif reading is None:
+            power_kw[at] = 0.0
+        elif at != METER_PLACE:
+            power_kw[at], limit_kw[at] = reading.power_kw, reading.limit_kw
+    return replace(state, power_kw=power_kw, limit_kw=limit_kw, stores=tuple(stores))

@@ -36,7 +36,7 @@ class Storages:
         self._settings, cycle_s = plan.storages, plan.timing.cycle_s
         self.laws: tuple[StorageLaw, ...] = tuple(plan.storage_laws.values())
         self.delay_cycles = [int(whole_cycles(one.delay_s, cycle_s)) for one in self._settings]
-        self._revert_cycles = max(plan.control.hold_cycles, 1)
+        self._revert_cycles = round(plan.storage_revert.after_s / cycle_s)
 
     def at_rest(self) -> tuple[Store, ...]:
         """Return the storages before a run."""

@@ -1,7 +1,8 @@
-"""An inverter or a meter over Modbus TCP, by the SunSpec models that it has.
+"""An inverter, a storage or a meter over Modbus TCP, by the SunSpec models that it has.
 
 pysunspec2 knows the models. Power comes from 701, 103 or 113, the limit is set in 704 or 123, and
-122 states the available power. A meter has 203, 213, or another of their families.
+122 states the available power. A storage states its energy in 713 or 802, its power may also come
+from 714, and is set in 704. A meter has 203, 213, or another of their families.
 https://github.com/sunspec/models
 """
 
@@ -10,16 +11,18 @@ from __future__ import annotations
 import struct
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from math import isfinite, isnan, nan
 from typing import Final, NamedTuple
 
-from sunspec2.device import Model, Point
+from sunspec2.device import Point
 
 from agents.device_profile import PLAIN, DeviceProfile
 from bus_schemas.errors import listed
 from sim_plant.real_inverters import Reading
 from sunspec.addresses import parse_address
-from sunspec.limited_inverter import LIMIT_POINTS, LONGEST_REVERT_S
+from sunspec.commanded import LONGEST_REVERT_S
+from sunspec.limited_inverter import LIMIT_POINTS
 from sunspec.modbus_tcp import (
     WRITE_SEVERAL,
     DeviceError,
@@ -27,18 +30,22 @@ from sunspec.modbus_tcp import (
     ModbusLink,
     NoAnswerError,
 )
+from sunspec.models import sunspec_model
+from sunspec.set_storage import SET_POINTS
 
 _MEASUREMENTS: Final = (701, 103, 102, 101, 113, 112, 111)
 _METERS: Final = (203, 204, 202, 201, 213, 214, 212, 211)
-_LIMITS: Final = (704, 123)
 _RATINGS: Final = ((702, "WMax"), (702, "WMaxRtg"), (121, "WMax"), (120, "WRtg"))
 """What 100 % stands for, in the order of preference."""
+
+_DISCHARGE: Final = ((702, "WDisChaRteMax"), (702, "WDisChaRteMaxRtg"), *_RATINGS)
+_CHARGE: Final = ((702, "WChaRteMax"), (702, "WChaRteMaxRtg"), *_RATINGS)
 
 _BASES: Final = (40_000, 0, 50_000)
 _RESTING: Final = frozenset({"OFF", "SLEEPING", "STANDBY"})
 """States without power: what a device states of it, if anything, is what it draws itself."""
 
-_REVERTS: Final = frozenset({"revert_s", "revert_enabled", "revert_percent"})
+_REVERTS: Final = frozenset({"revert_s", "revert_enabled", "revert_percent", "revert_watts"})
 _BEAT_S: Final = 1.0
 
 
@@ -57,7 +64,7 @@ class DeviceModel:
         self._link, self._first, self._length = link, first, length
         self._head = struct.pack(">HH", number, length)
         self._swaps = order == "low"
-        self._model = Model(number)
+        self._model = sunspec_model(number)
         self._data = b""
 
     def is_there(self) -> bool:
@@ -231,16 +238,23 @@ class SunSpecDevice(ABC):
                 f"expected the scale factor {scale} in SunSpec model {model.number}, got none"
             )
 
-    def _power_kw(self, model: DeviceModel) -> float:
-        power_kw = model.value("W") / 1e3
+    def _power_kw(self, model: DeviceModel, point: str = "W") -> float:
+        power_kw = model.value(point) / 1e3
         if isnan(power_kw) and self.state in _RESTING:
             return 0.0
         if isnan(power_kw):
-            scale = model.lacks_scale("W")
+            scale = model.lacks_scale(point)
             state = f" in state {self.state}" if self.state else ""
-            what = f"no scale factor {scale}" if scale else f"no power W{state}"
+            what = f"no scale factor {scale}" if scale else f"no power {point}{state}"
             raise DeviceRefusedError(f"{self.address}: it states {what}")
         return power_kw
+
+    def _stated_kw(self, points: Iterable[tuple[int, str]]) -> float:
+        """Return the first power above 0 that a point states. Raises DeviceError: There is none."""
+        for number, name in points:
+            if number in self._models and (kw := self._model(number).value(name) / 1e3) > 0.0:
+                return kw
+        raise self._error("expected a rating in model 702, 121 or 120, got none")
 
     def _error(self, text: str) -> DeviceError:
         return DeviceError(f"{self.address}: {text}")
@@ -259,7 +273,7 @@ class SunSpecMeter(SunSpecDevice):
 
 
 class SunSpecInverter(SunSpecDevice):
-    """An inverter that is read and limited. Nothing is written to it before `limit` is called."""
+    """An inverter that is read and limited. Nothing is written to it before `set_power`."""
 
     def __init__(self, address: str, profile: DeviceProfile = PLAIN) -> None:
         super().__init__(address, profile)
@@ -274,53 +288,53 @@ class SunSpecInverter(SunSpecDevice):
 
     def _find_models(self) -> None:
         self._measured = self._model(*_MEASUREMENTS)
-        self._limited = self._model(*_LIMITS)
         self._extended = self._model(122) if 122 in self._models else None
+        self._find_control(LIMIT_POINTS)
+        self.rating_kw = self._stated_kw(_RATINGS)
+
+    def _find_control(self, points: Mapping[int, Mapping[str, str]]) -> None:
+        """Find the model to write. Raises DeviceError: It, or one of its points, is missing."""
+        self._control = self._model(*sorted(points, reverse=True))
         self._heart = self._model(715) if self.profile.heartbeat else None
-        self._names = {field: name for name, field in LIMIT_POINTS[self._limited.number].items()}
+        self._names = {field: name for name, field in points[self._control.number].items()}
         for field, name in self._names.items():
             if field in _REVERTS and self.profile.revert:
-                hint = ": it would hold its last limit for ever; profile = { revert = false } if so"
-                self._need(self._limited, name, hint)
-            elif field in {"enabled", "percent"}:
-                self._need(self._limited, name)
-        ratings_kw = [
-            self._model(number).value(name) / 1e3
-            for number, name in _RATINGS
-            if number in self._models
-        ]
-        self.rating_kw = next((kw for kw in ratings_kw if kw > 0.0), 0.0)
-        if not self.rating_kw:
-            raise self._error("expected a rating in model 702, 121 or 120, got none")
+                hint = ": it would hold its last power for ever; profile = { revert = false } if so"
+                self._need(self._control, name, hint)
+            elif field not in _REVERTS and field != "connected":
+                self._need(self._control, name)
 
     @property
     def requests(self) -> tuple[int, int]:
         """How many requests a reading takes, and a limit."""
-        reads = [self._measured, self._limited, self._extended]
+        reads = [self._measured, self._control, self._extended]
         writes = 1 if self._styles[0].block else len(self._names) - 1
         return sum(one is not None for one in reads), writes
 
-    def read(self) -> Reading:
+    def _read_all(self) -> None:
         self._beat()
         self._measured.read()
-        self._limited.read()
+        self._control.read()
         if self._extended is not None:
             self._extended.read()
+
+    def read(self) -> Reading:
+        self._read_all()
         self.state = self._measured.symbol("InvSt" if self._measured.number == 701 else "St")
         power_kw = self._power_kw(self._measured)
-        limit_kw, percent = self.rating_kw, self._limited.value(self._names["percent"])
-        if self._limited.value(self._names["enabled"]) == 1 and not isnan(percent):
+        limit_kw, percent = self.rating_kw, self._control.value(self._names["percent"])
+        if self._control.value(self._names["enabled"]) == 1 and not isnan(percent):
             limit_kw *= min(max(percent, 0.0), 100.0) / 100.0
         return Reading(time.monotonic_ns(), power_kw, self._available_kw(power_kw), limit_kw)
 
-    def limit_register(self, kw: float) -> int:
-        """Return what the register of the limit would hold for a limit."""
+    def register(self, kw: float) -> int:
+        """Return what the register of the limit, or the power, would hold for it."""
         percent = min(max(100.0 * kw / self.rating_kw, 0.0), 100.0)
         if step := self.profile.limit_step_percent:
             percent = min(round(percent / step) * step, 100.0)
-        return self._limited.raw(self._names["percent"], percent)
+        return self._control.raw(self._names["percent"], percent)
 
-    def limit(self, kw: float, revert_s: float, revert_kw: float = nan) -> None:
+    def set_power(self, kw: float, revert_s: float, revert_kw: float = nan) -> None:
         """Limit the power, for the revert time.
 
         revert_s: After this time without another limit the inverter goes to `revert_kw`.
@@ -328,14 +342,17 @@ class SunSpecInverter(SunSpecDevice):
         """
         reverts_to_kw = self.rating_kw if isnan(revert_kw) else revert_kw
         raw = {
-            "enabled": 1,
-            "percent": self.limit_register(kw),
-            "revert_s": round(min(max(revert_s, 1.0), LONGEST_REVERT_S)),
+            "percent": self.register(kw),
             "revert_enabled": int(not isnan(revert_kw)),
-            "revert_percent": self.limit_register(reverts_to_kw),
+            "revert_percent": self.register(reverts_to_kw),
         }
+        self._set(raw, revert_s)
+
+    def _set(self, raw: dict[str, int], revert_s: float) -> None:
+        """Write the registers of fields, and the revert time."""
+        raw |= {"enabled": 1, "revert_s": round(min(max(revert_s, 1.0), LONGEST_REVERT_S))}
         skipped = frozenset() if self.profile.revert else _REVERTS
-        if not self.profile.revert and self._limited.value(self._names["enabled"]) == 1:
+        if not self.profile.revert and self._control.value(self._names["enabled"]) == 1:
             skipped |= {"enabled"}  # It stays so, and some refuse to be written it.
         fields = raw.keys() & self._names.keys() - skipped
         self._write({self._names[field]: raw[field] for field in fields})
@@ -346,9 +363,9 @@ class SunSpecInverter(SunSpecDevice):
         for _ in range(len(self._styles)):
             style = self._styles[0]
             try:
-                self._limited.write(raw, style, last=self._names["enabled"])
+                self._control.write(raw, style, last=self._names["enabled"])
             except (DeviceRefusedError, NoAnswerError) as error:
-                refusal = f"{error}: the limit was not written"
+                refusal = f"{error}: nothing was written"
                 is_silent = isinstance(error, NoAnswerError)
                 is_unknown = is_silent or getattr(error, "is_of_kind", False)
                 if is_unknown and not self._knows_style:
@@ -378,3 +395,42 @@ class SunSpecInverter(SunSpecDevice):
         throttled = self._measured.value("ThrotPct") if self._measured.number == 701 else nan
         is_free = self.state == "MPPT" if isnan(throttled) else throttled == 0
         return power_kw if is_free else nan
+
+
+class SunSpecStorage(SunSpecInverter):
+    """The inverter of a storage, which is given a power, negative to charge.
+
+    capacity_kwh: As it states it; NaN: it does not.
+    """
+
+    def _find_models(self) -> None:
+        self._measured = self._model(*_MEASUREMENTS, 714)
+        self._find_control(SET_POINTS)
+        self._extended = self._store = self._model(713, 802)
+        for name in ("SoC", "WHRtg") if self._store.point("WHAvail") is None else ("WHAvail",):
+            self._need(self._store, name)
+        self.capacity_kwh = self._store.value("WHRtg") / 1e3
+        self.rating_kw = self._stated_kw(_DISCHARGE)
+        self._charge_kw = self._stated_kw(_CHARGE)
+
+    def read(self) -> Reading:
+        self._read_all()
+        self.state = self._store.symbol("Sta" if self._store.number == 713 else "State")
+        if self.state in {"ERROR", "FAULT"}:
+            raise DeviceRefusedError(f"{self.address}: it states {self.state}")
+        power_kw = self._power_kw(self._measured, "DCW" if self._measured.number == 714 else "W")
+        energy_kwh = self._store.value("WHAvail") / 1e3
+        if isnan(energy_kwh):
+            energy_kwh = self._store.value("SoC") / 100.0 * self._store.value("WHRtg") / 1e3
+        if isnan(energy_kwh):
+            raise DeviceRefusedError(f"{self.address}: it states no energy WHAvail or SoC")
+        return Reading(time.monotonic_ns(), power_kw, energy_kwh=energy_kwh)
+
+    def register(self, kw: float) -> int:
+        watts = 1e3 * min(max(kw, -self._charge_kw), self.rating_kw)
+        return self._control.raw(self._names["watts"], watts)
+
+    def set_power(self, kw: float, revert_s: float, revert_kw: float = 0.0) -> None:
+        raw = {"in_watts": 1, "watts": self.register(kw)}
+        raw |= {"revert_enabled": 1, "revert_watts": self.register(revert_kw)}
+        self._set(raw, revert_s)

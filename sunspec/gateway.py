@@ -1,9 +1,9 @@
-"""Between a run and its real inverters: a thread for each reads it and passes its commands on.
+"""Between a run and its real devices: a thread for each reads it and passes its commands on.
 
 A process of its own beside the run, started by `GatewayProcess`.
 
 A command is written at once if it says something new, and renewed after a third of the revert time
-otherwise. An inverter is read late in each cycle, so that the plant's next telemetry is fresh. It
+otherwise. A device is read late in each cycle, so that the plant's next telemetry is fresh. It
 gets no commands but those of the controllers: without them nothing is renewed, and it reverts.
 """
 
@@ -28,9 +28,15 @@ from typing import Final
 
 import msgspec
 
+from agents.control.storage import StorageLaw, ability
 from agents.plan import RunPlan
 from sim_plant.real_inverters import METER_PLACE, Reading
-from sunspec.client import SunSpecDevice, SunSpecInverter, SunSpecMeter
+from sunspec.client import (
+    SunSpecDevice,
+    SunSpecInverter,
+    SunSpecMeter,
+    SunSpecStorage,
+)
 from sunspec.modbus_tcp import DeviceError, DeviceRefusedError, WrongAnswerError
 from sunspec.pipes import GatewayPipes, Limit
 from sunspec.process import DeviceAccount, Latency, log_in, write_accounts
@@ -47,7 +53,7 @@ _TOO_LONG: Final = 0.9
 
 _SAME_RATING: Final = 0.02
 _EXCESS: Final = 0.01
-"""Share of the rating by which an inverter may exceed its limit: its own measuring error."""
+"""Share of the rating by which a device may miss what it is told: its own measuring error."""
 
 
 class Gateway:
@@ -129,15 +135,19 @@ class _Voice:
 
 
 class _Excess:
-    """How far an inverter is above the limits that it has acknowledged.
+    """How far an inverter is above the limits that it has acknowledged, or a storage off its power.
 
-    follows_s: Time in which it comes to obey a limit.
+    follows_s: Time in which it comes to obey.
+    law: Of a storage, through the time in which it may run full or empty unnoticed.
 
     most_kw: Largest excess so far.
     """
 
-    def __init__(self, follows_s: float, tolerance_kw: float) -> None:
+    def __init__(
+        self, follows_s: float, tolerance_kw: float, law: StorageLaw | None = None
+    ) -> None:
         self.most_kw = 0.0
+        self._law = law
         self._follows_s, self._tolerance_kw = follows_s, tolerance_kw
         self._limits: deque[tuple[float, float]] = deque()
 
@@ -147,14 +157,20 @@ class _Excess:
     def released(self) -> None:
         self._limits.clear()
 
-    def of(self, at: float, power_kw: float) -> tuple[float, float]:
-        """Return how far a power is above what was allowed, and that; 0 kW: not."""
+    def of(self, at: float, reading: Reading) -> tuple[float, float]:
+        """Return how far a power is from what was allowed, and that; 0 kW: not."""
         while len(self._limits) > 1 and self._limits[1][0] <= at - self._follows_s:
             self._limits.popleft()
         if not self._limits or self._limits[0][0] > at - self._follows_s:
             return 0.0, inf  # A limit before the first one is unknown.
-        allowed_kw = max(kw for _, kw in self._limits)
-        excess_kw = power_kw - allowed_kw
+        told_kw = [kw for _, kw in self._limits]
+        least_kw, most_kw = -inf, max(told_kw)
+        if self._law is not None:
+            able = ability(reading.energy_kwh, reading.power_kw, self._law)
+            least_kw = min(*told_kw, able.discharge_kw)
+            most_kw = max(most_kw, -able.absorb_kw)
+        allowed_kw = min(max(reading.power_kw, least_kw), most_kw)
+        excess_kw = abs(reading.power_kw - allowed_kw)
         if excess_kw <= self._tolerance_kw:
             return 0.0, allowed_kw
         self.most_kw = max(self.most_kw, excess_kw)
@@ -182,12 +198,20 @@ class _Link:
             self.position = METER_PLACE
             self._device, self._excess = SunSpecMeter(address, profile), _Excess(inf, inf)
             return
-        self.position = plan.tree.leaves.index(node)
-        self._rating_kw, self._revert = plan.tree.rating_kw(node), plan.site.revert_of(node)
-        self._device = SunSpecInverter(address, profile)
-        step = (profile.limit_step_percent or 0.0) / 100.0
+        self.position = plan.tree.devices.index(node)
+        self._rating_kw, self._capacity_kwh = plan.tree.rating_kw(node), nan
+        tolerance_kw = ((profile.limit_step_percent or 0.0) / 100.0 + _EXCESS) * self._rating_kw
+        if plan.tree.is_storage(node):
+            (storage,) = (one for one in plan.storages if one.path == node)
+            self._capacity_kwh = storage.capacity_kwh
+            self._device, self._revert = SunSpecStorage(address, profile), plan.storage_revert
+            follows_s = storage.follows_within_s + 2.0 * self._cycle_s
+            law = storage.law(follows_s)
+            self._excess = _Excess(follows_s, tolerance_kw, law)
+            return
+        self._device, self._revert = SunSpecInverter(address, profile), plan.site.revert_of(node)
         follows_s = plan.site.follows_within_s(node) + 2.0 * self._cycle_s
-        self._excess = _Excess(follows_s, (step + _EXCESS) * self._rating_kw)
+        self._excess = _Excess(follows_s, tolerance_kw)
 
     def connect(self) -> Reading:
         """Connect and read once, before there is a run."""
@@ -215,13 +239,17 @@ class _Link:
         device = self._device
         if not isinstance(device, SunSpecInverter):
             return
-        if abs(device.rating_kw - self._rating_kw) > _SAME_RATING * self._rating_kw:
-            said, planned = f"{device.rating_kw:,.10g}", f"{self._rating_kw:,.10g}"
-            self._voice.say(f"its rating is {said} kW, and {planned} kW in the scenario")
+        sizes = [("rating", device.rating_kw, self._rating_kw, "kW")]
+        if isinstance(device, SunSpecStorage):
+            sizes.append(("capacity", device.capacity_kwh, self._capacity_kwh, "kWh"))
+        for what, said, planned, unit in sizes:
+            if abs(said - planned) > _SAME_RATING * planned:
+                both = f"{said:,.10g} {unit}, and {planned:,.10g} {unit} in the scenario"
+                self._voice.say(f"its {what} is {both}")
         reads, writes = device.requests
         round_s = self._first_read_s * (reads + writes) / reads
         if round_s > _TOO_LONG * self._cycle_s:
-            requests = f"{reads} requests to read it and {writes} to limit it"
+            requests = f"{reads} requests to read it and {writes} to command it"
             what = f"a cycle of {self._cycle_s:g} s is too short"
             self._voice.say(f"{what}: {requests} take {round_s:.1f} s; readings will be late")
 
@@ -263,7 +291,7 @@ class _Link:
                     self._late += time.monotonic() > late_at
             except DeviceRefusedError as error:
                 self._refused += 1
-                self._written = None  # The inverter may have lost the last limit.
+                self._written = None  # The device may have lost the last one.
                 self._voice.say(str(error))
             except DeviceError as error:
                 self._written = None
@@ -274,7 +302,7 @@ class _Link:
         if drops := self._device.drops - self._drops:
             self._drops += drops
             self._breaks += drops
-            closed = "connection closed by the inverter"
+            closed = "connection closed by the device"
             self._voice.say(f"{self._device.address}: {closed}", "closed", drops)
 
     def _read(self) -> Reading:
@@ -287,17 +315,19 @@ class _Link:
         now = time.monotonic()
         if now > self._written_at + self._revert.after_s:
             self._excess.released()
-        excess_kw, allowed_kw = self._excess.of(now, reading.power_kw)
+        excess_kw, allowed_kw = self._excess.of(now, reading)
         if excess_kw:
-            over = f"{reading.power_kw:,.4g} kW, {excess_kw:,.3g} kW over"
-            self._voice.say(f"gives {over} its limit of {allowed_kw:,.4g} kW", "over its limit")
+            is_storage = isinstance(self._device, SunSpecStorage)
+            over = "off its power of" if is_storage else "over its limit of"
+            found = f"gives {reading.power_kw:,.4g} kW, {excess_kw:,.3g} kW {over}"
+            self._voice.say(f"{found} {allowed_kw:,.4g} kW", over)
         return reading
 
     def _write(self, limit: Limit) -> None:
-        """Write a limit that is new, or without which the inverter would revert before long."""
+        """Write what is new, or without which the device would revert before long."""
         assert isinstance(self._device, SunSpecInverter)
         after_s, to, now = self._revert.after_s, self._revert.to, time.monotonic()
-        register = self._device.limit_register(limit.kw)
+        register = self._device.register(limit.kw)
         is_due = now >= self._written_at + min(after_s / 3.0, 1e9)
         is_new = register != self._written
         if not is_due and self._written is not None:
@@ -310,7 +340,7 @@ class _Link:
         elif to == "release":
             revert_kw = nan
         with self._writes.timed():
-            self._device.limit(limit.kw, after_s, revert_kw)
+            self._device.set_power(limit.kw, after_s, revert_kw)
         self._written, self._written_at = register, time.monotonic()
         self._excess.limited(self._written_at, limit.kw)
 

@@ -190,7 +190,7 @@ class ModbusLink:
 
     def _closed(self) -> LinkClosedError:
         self.close()
-        return LinkClosedError(f"{self._address}: connection closed by the inverter")
+        return LinkClosedError(f"{self._address}: connection closed by the device")
 
     def _wrong(self, got: str) -> DeviceError:
         self.close()

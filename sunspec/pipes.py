@@ -1,7 +1,7 @@
-"""How the plant's process and the gateway exchange readings and limits of real inverters.
+"""How the plant's process and the gateway exchange readings and limits of real devices.
 
 Two named pipes in the run's folder carry records of a fixed size. Neither end waits: what
-does not fit into a full one is dropped, and the reader takes the newest record of each inverter.
+does not fit into a full one is dropped, and the reader takes the newest record of each.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sim_plant.real_inverters import Reading
 
 _PIPES: Final = ("device-readings", "device-commands")
 
-# Each record begins with the position of the inverter in the control tree.
-_READING: Final = Struct("<qqddd")
+# Each record begins with the position of the inverter or storage in the control tree.
+_READING: Final = Struct("<qqdddd")
 _LIMIT: Final = Struct("<qdd")
 
 _FRESH_CYCLES: Final = 2.5
@@ -30,7 +30,7 @@ _FRESH_CYCLES: Final = 2.5
 
 
 class Limit(NamedTuple):
-    """A limit, and the one after the revert time [kW]; NaN: the command states none."""
+    """A limit, or a storage's power, and the one after the revert time [kW]; NaN: none."""
 
     kw: float
     revert_kw: float

@@ -29,7 +29,8 @@ from bus_schemas.tree import ROOT
 from sim_plant.order_desk import FromPlant, OrderLine, PlantStatus, Reply
 from sim_plant.orders import MODBUS, is_ordered
 from sunspec.addresses import parse_address
-from sunspec.limited_inverter import LIMIT_704, Percent, RevertS
+from sunspec.commanded import RevertS
+from sunspec.limited_inverter import LIMIT_704, Percent
 from sunspec.registers import (
     Points,
     Registers,

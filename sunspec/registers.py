@@ -1,7 +1,7 @@
-"""SunSpec registers of a simulated inverter, and of the meter of a plant.
+"""SunSpec registers of a simulated inverter or storage, and of the meter of a plant.
 
 A unit is a list of models from address 40000 on. Measurements are worked out when they are read;
-what is written to the points of a limit, or to `Conn`, is applied to the inverter.
+what is written to the points of a limit, of a set power, or to `Conn`, is applied to the device.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from math import ceil, inf, log10, sqrt
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias, TypeVar
 
 import msgspec
 from pymodbus.constants import ExcCodes
@@ -17,7 +17,10 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from sunspec2.device import Model
 
 from bus_schemas.errors import FailureError
+from sunspec.commanded import Commanded
 from sunspec.limited_inverter import LIMIT_POINTS, LimitedInverter
+from sunspec.models import sunspec_model
+from sunspec.set_storage import SET_POINTS, SetStorage
 
 Points: TypeAlias = dict[int, dict[str, float | str]]
 """Points of each model of a unit, by the model's number; scale factors first."""
@@ -27,6 +30,8 @@ _SUNS: Final = b"SunS"
 _END: Final = b"\xff\xff\x00\x00"
 _VOLTS: Final = 480.0
 _UNSIGNED: Final = 65_535
+
+D = TypeVar("D", bound=Commanded)
 
 _OFF, _SLEEPING, _RUNNING, _THROTTLED = 1, 2, 4, 5
 """States of model 103; those of 701 are one less."""
@@ -56,7 +61,7 @@ class Registers:
         self._models: dict[int, Model] = {}
         image = bytearray(_SUNS)
         for number, values in points().items():
-            model = Model(number)
+            model = sunspec_model(number)
             self._models[FIRST_ADDRESS + len(image) // 2] = model
             model.set_dict(values, computed=True)
             image += model.get_mb()
@@ -126,51 +131,51 @@ def no_unit() -> SimDevice:
     return SimDevice(0, nothing, action=refuse)
 
 
-def inverter_device(
+def commanded_device(
     unit: int,
     name: str,
-    inverter: LimitedInverter,
+    device: D,
     now: Callable[[], float],
-    on_limit: Callable[[], None],
-    points: Callable[[LimitedInverter, float], Points],
+    on_write: Callable[[], None],
+    points: Callable[[D, float], Points],
 ) -> SimDevice:
-    """Return a simulated inverter with a path in the control tree as a Modbus unit.
+    """Return a simulated inverter or storage with a path in the control tree as a Modbus unit.
 
-    on_limit: Called when a limit is written.
+    on_write: Called when a limit or a power is written.
     points: Returns its points at a time, such as `inverter_points`.
     """
+    is_storage = isinstance(device, SetStorage)
 
     def current() -> Points:
         at = now()
-        inverter.advance(at)
-        return common_points("simulated inverter", name, unit) | points(inverter, at)
+        device.advance(at)
+        what = "simulated storage" if is_storage else "simulated inverter"
+        return common_points(what, name, unit) | points(device, at)
 
     def write(model: int, written: dict[str, Any]) -> None:
         renews = written.keys() != {"connected"}
         if renews and model == 123:
             written |= _NO_REVERT
         at = now()
-        inverter.advance(at)  # It may have reverted meanwhile.
-        settings = inverter.settings.with_written(written)
-        on_limit()
-        inverter.apply(settings, at, renews=renews)
+        device.advance(at)  # It may have reverted meanwhile.
+        settings = device.with_written(written)
+        on_write()
+        device.apply(settings, at, renews=renews)
 
-    return Registers(unit, current, write).device
+    return Registers(unit, current, write, SET_POINTS if is_storage else LIMIT_POINTS).device
 
 
-def meter_device(
-    unit: int, inverters: Iterable[LimitedInverter], now: Callable[[], float]
-) -> SimDevice:
+def meter_device(unit: int, devices: Iterable[Commanded], now: Callable[[], float]) -> SimDevice:
     """Return the meter where a plant is connected: power fed in is positive."""
-    inverters = list(inverters)
-    rating_kw = sum(inverter.rating_kw for inverter in inverters)
+    devices = list(devices)
+    rating_kw = sum(device.rating_kw for device in devices)
 
     def current() -> Points:
         at = now()
-        for inverter in inverters:
-            inverter.advance(at)
-        watts = 1e3 * sum(inverter.power_kw(at) for inverter in inverters)
-        energy_kwh = sum(inverter.energy_kwh for inverter in inverters)
+        for device in devices:
+            device.advance(at)
+        watts = 1e3 * sum(device.power_kw(at) for device in devices)
+        energy_kwh = max(sum(device.energy_kwh for device in devices), 0.0)
         what = common_points("plant meter", "meter", unit)
         return what | {203: meter_points(watts, energy_kwh, rating_kw)}
 
@@ -237,6 +242,32 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
             # A whole number of percent, and 0 is no ramp: a slower one than 1 %/s is 1 %/s.
             **({} if ramp == inf else {"WRmp": max(round(ramp), 1), "WRmpRef": 1}),
         },
+    }  # fmt: skip
+
+
+def storage_points(storage: SetStorage, at: float) -> Points:
+    """Return the points of all models of a storage, except the common one."""
+    one, rating, stored_kwh = storage.storage, 1e3 * storage.rating_kw, storage.stored_kwh
+    power_kw, capacity = storage.power_kw(at), 1e3 * one.capacity_kwh
+    operating = operating_points(storage.rating_kw, power_kw, power_kw, 0.0)
+    del operating["TotWhInj"]  # It would count what is given alone.
+    loss = one.charge_efficiency if power_kw < 0.0 else 1.0 / one.discharge_efficiency
+    return {
+        701: {**operating, "InvSt": _RUNNING - 1},
+        702: {
+            **rating_points(storage.rating_kw), "WChaRteMaxRtg": rating, "WChaRteMax": rating,
+            "WDisChaRteMaxRtg": rating, "WDisChaRteMax": rating,
+        },
+        704: {
+            "WSet_SF": _scale(rating, 2**31 - 1),
+            **{name: getattr(storage.settings, field) for name, field in SET_POINTS[704].items()},
+            "WSetRvrtRem": ceil(storage.revert_in_s(at)),
+        },
+        713: {
+            "WH_SF": _scale(capacity, _UNSIGNED), "Pct_SF": -2, "WHRtg": capacity,
+            "WHAvail": 1e3 * stored_kwh, "SoC": 1e5 * stored_kwh / capacity, "SoH": 100, "Sta": 0,
+        },
+        714: {"DCW_SF": _scale(rating / one.discharge_efficiency), "DCW": 1e3 * power_kw * loss},
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The simulated inverters of a plant as SunSpec devices, and a meter where it is connected."""
+"""The simulated inverters and storages of a plant as SunSpec devices, and its meter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,15 @@ from pymodbus.simulator import SimDevice
 
 from bus_schemas.errors import InputError
 from sunspec.limited_inverter import LimitedInverter
-from sunspec.registers import Points, inverter_device, inverter_points, meter_device, no_unit
+from sunspec.registers import (
+    Points,
+    commanded_device,
+    inverter_points,
+    meter_device,
+    no_unit,
+    storage_points,
+)
+from sunspec.set_storage import SetStorage
 
 _MOST_UNITS = 247
 
@@ -50,7 +58,7 @@ class Sky:
 
 @contextmanager
 def served(
-    inverters: Mapping[str, LimitedInverter],
+    simulated: Mapping[str, LimitedInverter | SetStorage],
     sky: Sky,
     now: Callable[[], float],
     host: str = "127.0.0.1",
@@ -58,24 +66,27 @@ def served(
     *,
     points: Callable[[LimitedInverter, float], Points] = inverter_points,
 ) -> Iterator[dict[str, str]]:
-    """Serve inverters by their paths, and the `meter`, in a thread; gives the addresses by name.
+    """Serve devices by their paths, and the `meter`, in a thread; gives the addresses by name.
 
-    sky: Begins with the first limit, unless it has begun already.
+    sky: Begins with the first write, unless it has begun already.
     host, port: Where to listen. Port 0: any that is free.
     points: Returns the points of an inverter's models at a time.
     """
-    names = [*inverters, "meter"]
+    names = [*simulated, "meter"]
     if len(names) > _MOST_UNITS:
         expected = f"expected up to {_MOST_UNITS - 1} at one port"
-        raise InputError.of("inverters", f"{expected}, got {len(inverters)}")
+        raise InputError.of("inverters", f"{expected}, got {len(simulated)}")
 
     def begin_sky() -> None:
         sky.began_at = now() if sky.began_at is None else sky.began_at
 
     def device(unit: int, name: str) -> SimDevice:
         if name == "meter":
-            return meter_device(unit, inverters.values(), now)
-        return inverter_device(unit, name, inverters[name], now, begin_sky, points)
+            return meter_device(unit, simulated.values(), now)
+        one = simulated[name]
+        if isinstance(one, SetStorage):
+            return commanded_device(unit, name, one, now, begin_sky, storage_points)
+        return commanded_device(unit, name, one, now, begin_sky, points)
 
     devices = {name: device(unit, name) for unit, name in enumerate(names, start=1)}
     with in_thread(listening(devices, host, port)) as addresses:

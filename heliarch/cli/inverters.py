@@ -1,4 +1,4 @@
-"""`heliarch inverters`: a plant's simulated inverters as SunSpec devices."""
+"""`heliarch inverters`: a plant's simulated inverters and storages as SunSpec devices."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from heliarch.cli.output import Output
 from scenarios.elsewhere import read_address
 from scenarios.run_options import RunOptions, Seed, TimeOptions
 from sunspec.limited_inverter import LimitedInverter
+from sunspec.set_storage import SetStorage
 
 
 def inverters(
@@ -28,11 +29,11 @@ def inverters(
     span: TimeOptions = TimeOptions(),
     data: Data = None,
 ) -> None:
-    """Serve simulated inverters over Modbus TCP, in real time.
+    """Serve simulated inverters and storages over Modbus TCP, in real time.
 
-    They are SunSpec inverters under the clouds of the scenario: another plant controller can read
-    and limit them. The last unit is the meter at the plant's connection. Ends with the scenario, or
-    with Ctrl-C.
+    They are SunSpec devices under the clouds of the scenario: another plant controller can read
+    and command them. The last unit is the meter at the plant's connection. Ends with the scenario,
+    or with Ctrl-C.
 
     Example: `heliarch inverters oahu --port 5020 --set plant.delay_s=1`
 
@@ -41,9 +42,9 @@ def inverters(
     address
         Address at which to listen; 0.0.0.0 is for other hosts too.
     port
-        Port at which to listen, with a unit for each inverter.
+        Port at which to listen, with a unit for each device.
     wait
-        Let the clouds stand still until the first limit is written.
+        Let the clouds stand still until the first write.
     """
     read_address(address)
     from scenarios.preparation import prepare
@@ -53,7 +54,7 @@ def inverters(
     prepared = prepare(changed_scenario(scenario, data, settings), options, "inverters")
     plan = prepared.plan
     sky = Sky(prepared.profile.mpp_kw, plan.timing.cycle_s, None if wait else time.monotonic())
-    simulated = {}
+    simulated: dict[str, LimitedInverter | SetStorage] = {}
     for place, (name, rating_kw) in enumerate(plan.inverters):
         follows = plan.site.settings_of(name)
         simulated[name] = LimitedInverter(
@@ -62,6 +63,7 @@ def inverters(
             follows.delay_s or 0.0,
             follows.ramp_percent_per_s or inf,
         )
+    simulated |= {one.path: SetStorage(one) for one in plan.storages}
     output, serving = Output(), served(simulated, sky, time.monotonic, address, port)
     with suppress(KeyboardInterrupt), serving as addresses:
         output.say(*(f"--device {name}={where}" for name, where in addresses.items()))

@@ -1,4 +1,4 @@
-"""An inverter over Modbus TCP that behaves as real ones do, and as the standard does not say."""
+"""A device over Modbus TCP that behaves as real ones do, and as the standard does not say."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from sunspec2.device import Model
+
+from sunspec.models import sunspec_model
 
 RATING_W, SUN_W = 100_000.0, 80_000.0
 
@@ -30,6 +32,19 @@ def integers(**changes: Any) -> dict[int, dict[str, Any]]:
         103: {**measured, "W": 0} | changes.get("measured", {}),
         120: {"WRtg_SF": 1, "WRtg": 10_000},
         123: limits | changes.get("limits", {}),
+    }
+
+
+def storage(**changes: Any) -> dict[int, dict[str, Any]]:
+    """Points of a storage of 100 kW and 50 kWh that stays at 0 W; None: not implemented."""
+    no_order = {"WSetEna": 0, "WSetMod": 1, "WSet": 0, "WSetRvrt": 0, "WSetEnaRvrt": 0}
+    half = {"WH_SF": 1, "Pct_SF": 0, "WHRtg": 5_000, "SoC": 50, "Sta": 0}
+    return {
+        1: {"Mn": "Acme", "Md": "Quirk", "SN": "1", "Vr": "1", "DA": 1},
+        701: {"W_SF": 0, "W": 0, "InvSt": 3},
+        702: {"W_SF": 1, "WMax": 10_000, "WMaxRtg": 10_000},
+        704: {"WSet_SF": 0, "WSetRvrtTms": 0, **no_order} | changes.get("control", {}),
+        713: half | changes.get("store", {}),
     }
 
 
@@ -62,7 +77,7 @@ class Quirky:
     requests: int = 0
 
     def __enter__(self) -> Self:
-        self._models = {number: Model(number) for number in self.models}
+        self._models = {number: sunspec_model(number) for number in self.models}
         self._at: dict[int, int] = {}
         image = b"SunS"
         for number, points in self.models.items():
@@ -85,9 +100,9 @@ class Quirky:
     def register(self, number: int, name: str) -> int:
         return self._at[number] + int(self._models[number].points[name].offset)
 
-    def state(self, **values: Any) -> None:
+    def state(self, model: int = 103, **values: Any) -> None:
         for name, value in values.items():
-            self._models[103].points[name].value = value
+            self._models[model].points[name].value = value
 
     def _accept(self) -> None:
         with suppress(OSError):

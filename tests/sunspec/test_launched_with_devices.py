@@ -134,7 +134,7 @@ def test_silent_slow_and_dropping_inverters_disturb_nobody_else(
         states = read_overview(reader).states
     assert {found.agent for found in states} <= {f"device {node}" for node in places}
     said = run.output.read_text()
-    assert said.count("connection closed by the inverter") == 1
+    assert said.count("connection closed by the device") == 1
     assert "a cycle of 1 s is too short" in said
 
 

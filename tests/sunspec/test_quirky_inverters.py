@@ -129,7 +129,7 @@ def test_a_dropped_link_is_called_so_once_and_counted(tmp_path: Path) -> None:
         powers, messages, account = run(device, tmp_path, cycles=40)
     assert powers[-1] == 30.0
     assert account.breaks >= 4
-    assert sum("connection closed by the inverter" in message for message in messages) == 1
+    assert sum("connection closed by the device" in message for message in messages) == 1
 
 
 def test_an_inverter_that_dies_is_named_once_and_counted_as_gone(tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_a_device_at_work_that_states_no_power_is_refused() -> None:
 
 def test_a_limit_is_written_in_one_request_with_the_registers_in_between() -> None:
     with quirky() as device:
-        connected(device).limit(30.0, 60.0)
+        connected(device).set_power(30.0, 60.0)
         assert device.writes == [(16, device.register(123, "WMaxLimPct"), 5)]
 
 
@@ -221,7 +221,7 @@ def test_a_device_with_one_function_to_write_is_limited(
 def test_a_write_that_fails_is_called_so(tmp_path: Path) -> None:
     with quirky(functions=frozenset({3}), refuses=True) as device:
         _, messages, account = run(device, tmp_path)
-    assert any("the limit was not written" in message for message in messages)
+    assert any("nothing was written" in message for message in messages)
     assert account.refused
 
 
@@ -236,6 +236,8 @@ FAMILIES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     ),
     # One register is not written by the function for one register.
     "APsystems ECU-R": ({"functions": frozenset({3, 16})}, {}),
+    # With models of curves and DC ports, of any number.
+    "IEEE 1547": ({"models": {**integers(), 705: {"NCrv": 0}, 714: {"NPrt": 0}}}, {}),
     # Both functions, and floats unless it is set to whole numbers.
     "Fronius Symo": ({"models": {**integers(), 113: {"W": SUN_W, "St": 4}}}, {}),
 }
@@ -303,7 +305,7 @@ def test_without_a_reversion_time_the_key_is_named_and_then_it_works() -> None:
         with pytest.raises(DeviceError, match=r"WMaxLimPct_RvrtTms.*revert = false"):
             connected(device)
         found = connected(device, revert=False)
-        found.limit(30.0, 60.0)
+        found.set_power(30.0, 60.0)
         assert found.read().power_kw == 30.0
 
 

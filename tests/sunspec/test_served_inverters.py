@@ -191,7 +191,7 @@ def test_each_family_of_models_is_read_and_limited(site: Site, models: Sequence[
     assert (inverter.rating_kw, free.power_kw, free.limit_kw) == (100.0, 80.0, 100.0)
     assert free.available_kw == 80.0
 
-    inverter.limit(30.0, 60.0, 20.0)
+    inverter.set_power(30.0, 60.0, 20.0)
     limited = inverter.read()
     assert (limited.power_kw, limited.limit_kw, inverter.state) == (30.0, 30.0, "THROTTLED")
     # The newer models state no available power: only an inverter that is not throttled shows it.
