@@ -53,7 +53,7 @@ define golden
 	@rm -rf build/golden
 	test -d recordings/golden/$(1) || $(BIN)/heliarch simulate $(2) --out build/golden
 	@if test -d build/golden; then mkdir recordings/golden/$(1) && mv build/golden/run.mcap build/golden/profile.npz recordings/golden/$(1); fi
-	$(BIN)/python -m studies.golden recordings/golden/$(1)
+	$(BIN)/python tests/record_golden.py recordings/golden/$(1)
 endef
 
 check: $(READY) ## format, lint, types, directions of imports

@@ -22,7 +22,6 @@ from bus_schemas.faults import LinkFault
 from bus_schemas.messages import PROTOCOL, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.tree import (
-    OPERATOR,
     PLANT,
     ROOT,
     ControlTree,
@@ -138,10 +137,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         when = self.supervision.restart.when or ("never" if lockstep else "on-failure")
         # In lockstep a parent that acts rarely would lack the messages between its turns.
         return when != "never" and not (lockstep and self.control.periods.longest > 1)
-
-    @property
-    def has_operator(self) -> bool:
-        return OPERATOR in self.access.external
 
     @property
     def agents(self) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ class Cause(StrEnum):
     CONFLICTING = "conflicting"
     UNDECODABLE = "undecodable"
     FLOODED = "flooded"
+    UNKNOWN = "unknown"
 
 
 class Bus(Protocol):

@@ -382,10 +382,6 @@ class OrderLine:
                 return
             yield decoder.decode(packet)
 
-    def statuses(self) -> Iterator[PlantStatus]:
-        """Yield what the plant does, cycle by cycle, until the run is over."""
-        return (one for one in self.heard() if isinstance(one, PlantStatus))
-
 
 @contextmanager
 def short_path(folder: Path) -> Iterator[str]:

@@ -9,7 +9,6 @@ from contextlib import suppress
 from typing import Final
 
 READ: Final = 3
-WRITE_ONE: Final = 6
 WRITE_SEVERAL: Final = 16
 
 _MOST_REGISTERS: Final = 125

@@ -18,24 +18,15 @@ from msgspec.structs import replace
 from agents.inputs import log_drop
 from agents.plan import RunPlan
 from agents.process.events import Complaint
+from bus_schemas.bus import Cause
 from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import printable
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
 from recordings.verify.comparison import Equality, FieldDifference
 
-# Causes of complaints about messages that are recorded: numbers out of range, messages that
-# came again, and messages that contradict others of their key.
-OUT_OF_RANGE: Final = "out_of_range"
-DUPLICATE: Final = "duplicate"
-CONFLICTING: Final = "conflicting"
-# Others are set aside.
-WRONG_CYCLE: Final = "wrong_cycle"
-WRONG_SENDER: Final = "wrong_sender"
-UNDECODABLE: Final = "undecodable"
-UNKNOWN: Final = "unknown"
-
-_RECORDED: Final = frozenset({OUT_OF_RANGE, DUPLICATE, CONFLICTING})
+_RECORDED: Final = frozenset({Cause.OUT_OF_RANGE, Cause.DUPLICATE, Cause.CONFLICTING})
+"""Of messages that are recorded all the same: the others are set aside."""
 
 _MOST_KINDS: Final = 500
 _MOST_UNKNOWN: Final = 5
@@ -55,8 +46,8 @@ class Complaints:
     def add(self, key: str, cause: str, example: str) -> None:
         key, example = printable(key[:_LONGEST]), printable(example[:_LONGEST])
         if (key, cause) not in self._by_kind:
-            unknown = sum(one == UNKNOWN for _, one in self._by_kind)
-            is_one_more = cause == UNKNOWN and unknown >= _MOST_UNKNOWN
+            unknown = sum(one == Cause.UNKNOWN for _, one in self._by_kind)
+            is_one_more = cause == Cause.UNKNOWN and unknown >= _MOST_UNKNOWN
             if is_one_more or len(self._by_kind) >= _MOST_KINDS:
                 key = "other keys"
         before = self._by_kind.get((key, cause))
@@ -108,13 +99,16 @@ class SecondSenders:
         newest = self._newest[port]
         if 0 < incarnation > cycle:
             self.note_extra(port)
-            return CONFLICTING, f"it is of cycle {cycle}, and its process joined in {incarnation}"
+            return (
+                Cause.CONFLICTING,
+                f"it is of cycle {cycle}, and its process joined in {incarnation}",
+            )
         if incarnation < newest:
             if cycle <= newest:  # It was on its way.
                 return None
             self.note_extra(port)
             joined = f"one joined in cycle {newest}, another in {incarnation}"
-            return CONFLICTING, f"{joined}, and both sent after that"
+            return Cause.CONFLICTING, f"{joined}, and both sent after that"
         if incarnation > newest:
             self._newest[port] = incarnation
             payloads.clear()
@@ -138,14 +132,17 @@ def _compare(port: Port[Message], first: bytes, second: bytes) -> tuple[str, str
     try:
         one, other = port.signal.decode(first), port.signal.decode(second)
     except UNREADABLE as error:
-        return CONFLICTING, f"two messages in one cycle, of which one does not decode: {error}"
+        return (
+            Cause.CONFLICTING,
+            f"two messages in one cycle, of which one does not decode: {error}",
+        )
     cycle, numbers = one.cycle, FieldDifference("sequence", one.sequence, other.sequence)
     has_just_joined = 0 < cycle == one.incarnation
     differing = list(_CONTENT.differences(port, one, other))
     if first != second and numbers.new <= numbers.recorded and not has_just_joined:
         differing.append(numbers)
     if not differing:
-        return DUPLICATE, f"it came again for cycle {cycle}"
+        return Cause.DUPLICATE, f"it came again for cycle {cycle}"
     field, *both = astuple(differing[0])
     values = " and ".join(str(value)[:60] for value in both)
-    return CONFLICTING, f"two messages in cycle {cycle}, {field} {values}"
+    return Cause.CONFLICTING, f"two messages in cycle {cycle}, {field} {values}"

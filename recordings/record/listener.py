@@ -11,20 +11,12 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from agents.process.events import Armed, Event, Remark, Status
+from bus_schemas.bus import Cause
 from bus_schemas.codec import UNREADABLE, decode_head, open_bundle
 from bus_schemas.messages import Head, Message, Ready, Run
 from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT
-from recordings.record.complaints import (
-    CONFLICTING,
-    OUT_OF_RANGE,
-    UNDECODABLE,
-    UNKNOWN,
-    WRONG_CYCLE,
-    WRONG_SENDER,
-    Complaints,
-    SecondSenders,
-)
+from recordings.record.complaints import Complaints, SecondSenders
 from recordings.record.devices import DeviceWatch
 from recordings.record.phases import ArmingRound, RunProgress
 from recordings.record.plausibility import out_of_range
@@ -107,24 +99,26 @@ class RunListener:
         try:
             head = decode_head(payload)
         except UNREADABLE as error:
-            self._complain(key, UNDECODABLE, str(error))
+            self._complain(key, Cause.UNDECODABLE, str(error))
             return None
         return self._hear(key, known, head, payload)
 
     def _hear_bundle(self, key: str, payload: bytes) -> Ready | None:
         known = self._bundles.get(key)
         if known is None:
-            self._complain(key, UNKNOWN, f"this run has no such node or signal{_sender(payload)}")
+            self._complain(
+                key, Cause.UNKNOWN, f"this run has no such node or signal{_sender(payload)}"
+            )
             return None
         answer = None
         try:
             for of, head, part in open_bundle(payload):
                 if (one := known.get(of)) is None:
-                    self._complain(key, UNKNOWN, f"it holds a message of {of}")
+                    self._complain(key, Cause.UNKNOWN, f"it holds a message of {of}")
                 else:
                     answer = self._hear(of, one, head, part) or answer
         except UNREADABLE as error:
-            self._complain(key, UNDECODABLE, str(error))
+            self._complain(key, Cause.UNDECODABLE, str(error))
         return answer
 
     def _hear(self, key: str, known: _Key, head: Head, payload: bytes) -> Ready | None:
@@ -132,10 +126,10 @@ class RunListener:
         try:
             message = port.signal.decode(payload) if known.is_read else None
         except UNREADABLE as error:
-            self._complain(key, UNDECODABLE, str(error))
+            self._complain(key, Cause.UNDECODABLE, str(error))
             return None
         if head.source != port.publisher:
-            self._complain(key, WRONG_SENDER, f"it is from {head.source!r}")
+            self._complain(key, Cause.WRONG_SENDER, f"it is from {head.source!r}")
         elif head.cycle < 0:
             if not self._plan.timing.lockstep:
                 self._reach.hear(port, head, payload, self._now_ns())
@@ -146,7 +140,7 @@ class RunListener:
             if head.cycle <= (self._last_cycle_of(port) if last_cycle is None else last_cycle):
                 self._record(key, known, head, message, payload)
             else:
-                self._complain(key, WRONG_CYCLE, f"it is of cycle {head.cycle}")
+                self._complain(key, Cause.WRONG_CYCLE, f"it is of cycle {head.cycle}")
         return None
 
     def _complain(self, key: str, cause: str, text: str) -> None:
@@ -193,7 +187,7 @@ class RunListener:
         if known.is_elsewhere and message is not None:
             self._heard_elsewhere += 1
             if complaint is None and (text := out_of_range(self._plan, port, message, heard_ns)):
-                complaint = OUT_OF_RANGE, text
+                complaint = Cause.OUT_OF_RANGE, text
         if complaint is not None:
             self._complain(key, *complaint)
         elif message is not None:
@@ -207,7 +201,7 @@ class RunListener:
         if false_stop is not None:
             begun = self.progress.newest_cycle
             text = f"it stops the run before cycle {false_stop}, and cycle {begun} has begun"
-            self.complaints.add(self._plan.wiring.key(RUN.of(ROOT)), CONFLICTING, text)
+            self.complaints.add(self._plan.wiring.key(RUN.of(ROOT)), Cause.CONFLICTING, text)
             self.senders.note_extra(RUN.of(ROOT))
 
 

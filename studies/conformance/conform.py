@@ -15,11 +15,11 @@ import numpy as np
 
 from agents.plan import changed
 from agents.process.events import Status
+from bus_schemas.bus import Cause
 from bus_schemas.errors import FailureError, listed
 from launch_scripts.fork_server_process import fork_server
 from launch_scripts.launch import run_as_processes
 from launch_scripts.run_folder import RunFolder
-from recordings.record.complaints import UNDECODABLE, UNKNOWN, WRONG_SENDER
 from recordings.verify.comparison import Equality
 from results.run_document import RunDocument
 from scenarios.preparation import Preparation
@@ -167,8 +167,8 @@ class Conformance:
                 )
                 self._note(there, recorded.slow_cycle, is_any=not one.requirement)
         for wrong in ended.wrong if isinstance(ended, RunDocument) else ():
-            if wrong.cause in (UNDECODABLE, UNKNOWN, WRONG_SENDER):
-                of = "bounds" if wrong.cause == UNDECODABLE else "decisions"
+            if wrong.cause in (Cause.UNDECODABLE, Cause.UNKNOWN, Cause.WRONG_SENDER):
+                of = "bounds" if wrong.cause == Cause.UNDECODABLE else "decisions"
                 text = f"{wrong.key}: {wrong.cause}, {wrong.example}"
                 self.findings.fail(Failure(of, text, message=wrong.key))
 

@@ -11,7 +11,7 @@ from order_desks import obeying_plant
 from plans_by_hand import plan_of
 from served import Served, served
 
-from sim_plant.order_desk import OrderLine
+from sim_plant.order_desk import OrderLine, PlantStatus
 
 PLAN = plan_of({"a": 200.0, "b": 200.0}, cycles=10_000)
 ORDER = json.dumps({"power_kw": 250.0}).encode()
@@ -25,7 +25,7 @@ def page(tmp_path: Path) -> Iterator[Served]:
 
 def source_of_order(folder: Path) -> str:
     with OrderLine(folder) as line:
-        statuses = line.statuses()
+        statuses = (one for one in line.heard() if isinstance(one, PlantStatus))
         next(statuses)  # It may be of the cycle before.
         return next(statuses).dispatch.order_source
 

@@ -10,8 +10,10 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Timer
 from typing import NamedTuple
 
+import psutil
 import pytest
 from cut_network import Network, network_of_its_own, over_tcp
 from running import Heliarch, Start
@@ -30,6 +32,7 @@ from scenarios.scenario import load_scenario
 pytestmark = pytest.mark.processes
 
 BEFORE_S, AFTER_S = 10.0, 25.0
+STOPPED_S = 60.0
 LEAF = "c1/inv01"
 
 
@@ -68,6 +71,14 @@ def lost(share: float) -> Callable[[Network, RunPlan, Heliarch], None]:
     return packets("-m", "statistic", "--mode", "random", "--probability", str(share))
 
 
+def stop_all(network: Network, plan: RunPlan, run: Heliarch) -> None:
+    """Stop all processes of the run; after the time of the cut they go on."""
+    everybody = [psutil.Process(run.process.pid), *run.processes()]
+    for one in everybody:
+        one.suspend()
+    Timer(STOPPED_S, lambda: [one.resume() for one in everybody]).start()
+
+
 CUTS = [
     *(
         Cut("the recorder's port", seconds, port_of(RECORDER))
@@ -81,6 +92,7 @@ CUTS = [
     Cut("port of central", 30.0, port_of("central")),
     Cut("port of c2", 90.0, port_of("c2")),
     Cut("port of the plant", 30.0, port_of(PLANT)),
+    Cut("all processes stopped", STOPPED_S, stop_all),
 ]
 
 

@@ -22,6 +22,7 @@ from bus_schemas.tree import OPERATOR
 from sim_plant.order_desk import (
     SOCKET_NAME,
     OrderLine,
+    PlantStatus,
     Reply,
 )
 
@@ -44,7 +45,8 @@ def test_its_socket_is_for_the_owner_alone_and_goes_with_the_run(tmp_path: Path)
         with OrderLine(folder) as line:
             line.give("command", power_kw=50.0)
             assert any(isinstance(one, Reply) and one.is_in_force for one in line.heard())
-            assert next(line.statuses()).dispatch.power_kw == 50.0
+            status = next(one for one in line.heard() if isinstance(one, PlantStatus))
+            assert status.dispatch.power_kw == 50.0
     assert not (folder / SOCKET_NAME).exists()
 
 
