@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -91,15 +91,15 @@ def _read(kind: type[Fault], word: str, value: str, where: str) -> object:
     read: object = value
     match word:
         case "delay" | "jitter" | "reorder-by":
-            read = _duration_s(value, where) * 1e3
+            read = _seconds(value, where, duration_s) * 1e3
         case "loss" | "duplicate" | "reorder":
             read = _share(value, where)
         case "partition":
             read = value.split("|")
         case "at" | "blackout" if kind is not Kill:
-            read = [_second(time, where) for time in split_range(value, where)]
+            read = [_seconds(time, where) for time in split_range(value, where)]
         case "at":
-            read = _second(value, where)
+            read = _seconds(value, where)
     return read
 
 
@@ -124,17 +124,9 @@ def _text(field: str, value: str | float | tuple[Any, ...]) -> str:
     return f"{value}ms" if field in _TIMES.values() else str(value)
 
 
-def _duration_s(text: str, where: str) -> float:
-    found_s = duration_s(text)
-    if found_s is None:
-        raise InputError.of(where, f"expected a duration such as 50ms, 0.05s or 2m, got {text!r}")
-    return found_s
-
-
-def _second(text: str, where: str) -> float:
-    found_s = read_seconds(text)
-    if found_s is None:
-        raise InputError.of(where, f"expected seconds such as 60, 60s or 2m, got {text!r}")
+def _seconds(text: str, where: str, read: Callable[[str], float | None] = read_seconds) -> float:
+    if (found_s := read(text)) is None:
+        raise InputError.of(where, f"expected a time such as 50ms, 60s or 2m, got {text!r}")
     return found_s
 
 

@@ -20,13 +20,7 @@ from scenarios.fields import checked
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import Scenario, ScenarioFile
 from scenarios.times import LONGEST_S, SHORTEST_CYCLE_S, on_day
-from sim_plant.clear_sky import (
-    brightest_hour,
-    clear_ghi,
-    hours_from_noon,
-    step_s,
-    zone_by_sun,
-)
+from sim_plant.clear_sky import brightest_hour, clear_ghi, hours_from_noon, step_s, zone_by_sun
 from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.irradiance import (
     Irradiance,
@@ -104,35 +98,24 @@ def measured_scenario(
             f"{ghi_csv.name}: line 1: expected a column for stations of {positions_csv.name}, got "
             f"{', '.join(table.value_columns)}"
         )
-    guess = (
-        [] if table.is_zoned or form.timezone else [_guessed_zone(table, stations, positions, form)]
-    )
-    found = measured_ghi(
-        table,
-        positions,
-        positions_csv.name,
-        stations,
-        LONGEST_S,
-        replace(form, timezone=guess[0]) if guess else form,
-    )
+    guess = ""
+    if not (table.is_zoned or form.timezone):
+        guess = _guessed_zone(table, stations, positions, form)
+        form = replace(form, timezone=guess)
+    found = measured_ghi(table, positions, positions_csv.name, stations, LONGEST_S, form)
     text = f"# {origin}\n" if origin else ""
-    text += _text(
-        table,
-        found,
-        positions_csv,
-        out,
-        replace(form, timezone=form.timezone or "".join(guess) or None),
-    )
+    text += _text(table, found, positions_csv, out, form)
     scenario = checked(msgspec.toml.decode(text), Scenario, str(out), text)
     # What is written runs at once, or is refused now.
-    prepared = prepare(ScenarioFile(scenario, text, out, out.parent, text), RunOptions(), "init")
+    file = ScenarioFile(scenario, text, out, out.parent, text)
+    prepared = prepare(file, RunOptions(), "init", read=found)
     remarks = [
         f"left out, since only {path.name} has it: {listed(sorted(names - set(stations)))}"
         for path, names in ((ghi_csv, set(columns)), (positions_csv, set(positions.index)))
         if names - set(stations)
     ]
     if guess:
-        remarks.append(f"--timezone was not given: the sun's path fits {guess[0]} best")
+        remarks.append(f"--timezone was not given: the sun's path fits {guess} best")
     if not found.ghi_wm2.to_numpy().any():
         remarks.append(f"the GHI in {ghi_csv.name} is 0 throughout: the plant has no power")
     return text, found, [*remarks, *prepared.remarks]
@@ -148,9 +131,8 @@ def _guessed_zone(
 ) -> str:
     naive = table.times("UTC", form.dates).tz_localize(None)
     table.notes.clear()
-    columns = [
-        name for name in table.value_columns if station_of(name, positions.index) in stations
-    ]
+    known = positions.index
+    columns = [name for name in table.value_columns if station_of(name, known) in stations]
     ghi_wm2 = table.numbers(columns, empty_is_missing=True, sentinels=True).mean(axis=1)
     return zone_by_sun(naive, ghi_wm2, positions.loc[list(stations)])
 
@@ -168,8 +150,8 @@ def _text(
     steps = min(max(int(_LENGTH / step), 1), len(found.times))
     means = found.ghi_wm2.mean(axis=1).rolling(steps).mean().to_numpy()[steps - 1 :]
     zone = form.timezone or _timezone(str(table.stamps.iloc[0]))
-    stated = [("timezone", form.timezone), ("dates", form.dates), ("unit", form.unit)]
-    lines = [f"{name} = {_quoted(value)}" for name, value in stated if value]
+    names = ("timezone", "dates", "unit")
+    lines = [f"{name} = {_quoted(value)}" for name in names if (value := getattr(form, name))]
     if stamps := form.stamps or found.stamps:
         lines.append(f"stamps = {_quoted(stamps)}  # CHECK: what a time stamp names")
     if found.longest_gap_s:

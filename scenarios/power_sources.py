@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import pandas as pd
 
 from bus_schemas.errors import InputError
@@ -19,15 +20,24 @@ from scenarios.scenario import (
 from sim_plant import oahu_grid
 from sim_plant.clear_sky import doubts_of
 from sim_plant.dc_current import read_currents
-from sim_plant.irradiance import Irradiance, StatedForm, read_measured_ghi
+from sim_plant.irradiance import Irradiance, read_measured_ghi
 from sim_plant.sites import Sites, equal_ratings_kw, inverter_names, read_sites
 from sim_plant.sources import CloudySky, MeasuredPlant, PlantUnderSky, PowerSource, measured_sky
 
 
 def power_source(
-    scenario_file: ScenarioFile, seed: int | None, times: pd.DatetimeIndex, *, keeps: bool = False
+    scenario_file: ScenarioFile,
+    seed: int | None,
+    times: pd.DatetimeIndex,
+    own_times: pd.DatetimeIndex,
+    *,
+    keeps: bool = False,
+    read: Irradiance | None = None,
 ) -> PowerSource:
-    """Read what the scenario names, or make the sky that it describes; keep what that brings."""
+    """Read what the scenario names, or make the sky that it describes; keep what that brings.
+
+    `times` are those of the run, `own_times` those of the scenario; `read` is what was read before.
+    """
     irradiance = scenario_file.scenario.irradiance
     plant = scenario_file.scenario.plant
     if (plant.inverters or plant.grid) and not isinstance(irradiance, CloudIrradiance):
@@ -45,7 +55,7 @@ def power_source(
         case CloudIrradiance():
             return _cloudy_sky(scenario_file, irradiance, seed, keeps=keeps)
         case MeasuredIrradiance():
-            return _measured_sky(scenario_file, irradiance)
+            return _measured_sky(scenario_file, irradiance, own_times.union(times), read)
         case OahuGridIrradiance():
             return _oahu_sky(scenario_file, irradiance, times)
         case DcCurrents():
@@ -78,19 +88,19 @@ def _cloudy_sky(
     )
 
 
-def _measured_sky(scenario_file: ScenarioFile, table: MeasuredIrradiance) -> MeasuredPlant:
+def _measured_sky(
+    scenario_file: ScenarioFile,
+    table: MeasuredIrradiance,
+    wanted: pd.DatetimeIndex,
+    read: Irradiance | None,
+) -> MeasuredPlant:
     path, positions = (scenario_file.data_path(name) for name in (table.ghi, table.positions))
-    form = StatedForm(
-        timezone=table.timezone or scenario_file.scenario.time.timezone,
-        dates=table.dates,
-        unit=table.unit,
-        stamps=table.stamps,
-    )
-    irradiance = read_measured_ghi(path, positions, table.stations, table.max_gap_s, form)
-    doubts = tuple(f"warning: {path.name}: {one}" for one in doubts_of(irradiance))
-    irradiance = replace(irradiance, report=irradiance.report + doubts)
-    sky = _at_the_sensors(scenario_file, irradiance, len(irradiance.sensors))
-    return measured_sky(sky, irradiance)
+    zone = table.timezone or scenario_file.scenario.time.timezone
+    form = msgspec.structs.replace(table, timezone=zone)
+    found = read or read_measured_ghi(path, positions, table.stations, table.max_gap_s, form)
+    doubts = tuple(f"warning: {path.name}: {one}" for one in doubts_of(found))
+    sky = _at_the_sensors(scenario_file, found, len(found.sensors))
+    return measured_sky(sky, replace(found, report=found.report + doubts), wanted)
 
 
 def _oahu_sky(

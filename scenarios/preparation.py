@@ -33,22 +33,13 @@ from scenarios.elsewhere import (
 )
 from scenarios.fault_rules import fault_rules
 from scenarios.power_sources import power_source
-from scenarios.real_time import (
-    cycle_wall_ns,
-    machine_settings,
-    parse_pace,
-    process_groups,
-)
+from scenarios.real_time import cycle_wall_ns, machine_settings, parse_pace, process_groups
 from scenarios.run_options import RunOptions
-from scenarios.scenario import (
-    CloudIrradiance,
-    Scenario,
-    ScenarioFile,
-    local_start,
-)
+from scenarios.scenario import CloudIrradiance, Scenario, ScenarioFile, local_start
 from scenarios.times import LONGEST_S, Cycle, When, on_day, parse_duration_s, parse_moment
 from sim_plant.commitment import commitment_kw, is_hindsight
 from sim_plant.frequency import frequency_hz
+from sim_plant.irradiance import Irradiance
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
 from sim_plant.sites import east_north_m
@@ -117,11 +108,17 @@ class _Day:
 
 
 def prepare(
-    scenario_file: ScenarioFile, options: RunOptions, run_id: str, *, keeps: bool = False
+    scenario_file: ScenarioFile,
+    options: RunOptions,
+    run_id: str,
+    *,
+    keeps: bool = False,
+    read: Irradiance | None = None,
 ) -> Preparation:
     """Work out a run; whatever can be wrong with its options is checked first.
 
-    `keeps`: The next run under the same sky need not work it out once more.
+    `keeps`: The next run under the same sky need not work it out once more. `read`: The measured
+    irradiance of the scenario, where it was read before.
     """
     scenario = scenario_file.scenario
     if options.cycle_s is not None:
@@ -140,7 +137,10 @@ def prepare(
         raise InputError.of("--priority", f"expected a --pace such as 1 with it, {why}")
     keys_folder, offer = _keys_folder(scenario, options), scenario.regulation
     with scenario_file.named():
-        day = _day(scenario_file, scenario, options.seed, times, keeps=keeps)
+        own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
+        own_times, _ = _times(scenario_file, own, RunOptions())
+        source = power_source(scenario_file, options.seed, times, own_times, keeps=keeps, read=read)
+        day = _day(scenario_file, scenario, source, times, own_times)
         regulation, regulation_notes = np.zeros(len(times)), tuple[str, ...]()
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
@@ -179,14 +179,11 @@ def prepare(
 def _day(
     scenario_file: ScenarioFile,
     scenario: Scenario,
-    seed: int | None,
+    source: PowerSource,
     times: pd.DatetimeIndex,
-    *,
-    keeps: bool,
+    own_times: pd.DatetimeIndex,
 ) -> _Day:
-    own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
-    own_times, _ = _times(scenario_file, own, RunOptions())
-    source = power_source(scenario_file, seed, times, keeps=keeps)
+    own = scenario_file.scenario
     check_size(len(times), len(source.sites.names), "time.duration_s")
     available_kw = source.available_kw(times)
     commitment = commitment_kw(

@@ -60,9 +60,7 @@ def process_groups(processes: Processes, tree: ControlTree) -> tuple[str, ...]:
     if processes == "zone":
         found = {*map(parent_of, found)}
     if not found - {ROOT}:
-        expected = (
-            f"a plant that has a {processes} between its inverters and the central controller"
-        )
+        expected = f"a {processes} between the inverters and the central controller"
         raise InputError.of("processes", f"expected {expected}, got none")
     return tuple(path for path in tree.parents if path and path in found)
 

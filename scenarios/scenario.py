@@ -40,6 +40,7 @@ from scenarios.times import LONGEST_S, SHORTEST_CYCLE_S, on_day
 from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
 from sim_plant.frequency import FrequencySettings
+from sim_plant.irradiance import StatedForm
 from sim_plant.pv import PvSettings
 from sim_plant.regulation import RegulationSettings
 from sim_plant.sites import Grid
@@ -141,28 +142,19 @@ class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
     clear_until: datetime | None = None
 
 
-class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
+class MeasuredIrradiance(_Table, StatedForm, frozen=True, tag="measured", tag_field="kind"):
     """Measured irradiance: a file of GHI with one column for each station, and their positions.
 
     ghi: CSV: time stamps, then one column of GHI [W/m^2] for each station.
     positions: CSV with the columns `station, lat, lon`.
     stations: Stations to use. Default: all listed ones.
     max_gap_s: Gaps of up to this time are filled on straight lines [s]. Default: none is.
-    timezone: Zone of time stamps without an offset. Default: `time.timezone`.
-    dates: Whether the day or the month comes first, where the time stamps leave it open.
-    unit: Unit of the values, where the header does not say it. Default: W/m2.
-    stamps: Which moment of its interval a time stamp names. Default: by the header, else by the
-        sun's path for steps of a minute or more, else `begin`.
     """
 
     ghi: str
     positions: str
     stations: tuple[str, ...] | None = None
     max_gap_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)] | None = None
-    timezone: str | None = None
-    dates: Literal["day-first", "month-first"] | None = None
-    unit: Literal["W/m2", "kW/m2"] | None = None
-    stamps: Literal["begin", "middle", "end"] | None = None
 
     def __post_init__(self) -> None:
         if self.timezone is not None:

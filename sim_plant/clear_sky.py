@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 import pandas as pd
-import pvlib
 
-from sim_plant import Floats
+from sim_plant import Floats, imported_when_used
 
 if TYPE_CHECKING:
     from sim_plant.irradiance import Irradiance
+
+pvlib = imported_when_used("pvlib")
 
 _TURBIDITY: Final = 3.0
 _BRIGHT_WM2: Final = 100.0

@@ -1,5 +1,7 @@
 """Measured irradiance: one time series of GHI for each sensor, and where the sensors stand."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,14 +11,15 @@ from typing import Final, Literal, TypeAlias
 import msgspec
 import numpy as np
 import pandas as pd
-import pvlib
 from pandas.api.types import is_numeric_dtype
 
 from bus_schemas.errors import InputError, listed
-from sim_plant import Floats
+from sim_plant import Floats, imported_when_used
 from sim_plant.clear_sky import clear_ghi, stamps_by_sun
 from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.table_layout import irradiance_factor, name_and_unit
+
+pvlib = imported_when_used("pvlib")
 
 GHI_MIN_WM2: Final = -20.0
 GHI_NIGHT_MIN_WM2: Final = -60.0
@@ -28,17 +31,20 @@ GHI_MAX_WM2: Final = 2000.0
 _KILOWATT_BELOW: Final = 2.0
 
 Stamps: TypeAlias = Literal["begin", "middle", "end"]
-_END_WORDS: Final = ("end", "ending")
-_BEGIN_WORDS: Final = ("begin", "beginning", "start")
+_NAMED: Final[dict[str, Stamps]] = {
+    **{"end": "end", "ending": "end"},
+    **{"begin": "begin", "beginning": "begin", "start": "begin"},
+}
 
 
 class StatedForm(msgspec.Struct, frozen=True, kw_only=True):
     """What a file of irradiance may leave open, and its user states.
 
-    timezone: Zone of time stamps without an offset.
-    dates: Whether the day or the month comes first.
-    unit: Unit of the values.
-    stamps: Which moment of its interval a time stamp names.
+    timezone: Zone of time stamps without an offset. Default: `time.timezone`.
+    dates: Whether the day or the month comes first, where the time stamps leave it open.
+    unit: Unit of the values, where the header does not say it. Default: W/m2.
+    stamps: Which moment of its interval a time stamp names. Default: by the header, else by the
+        sun's path for steps of a minute or more, else `begin`.
     """
 
     timezone: str | None = None
@@ -77,6 +83,18 @@ class Irradiance:
     @property
     def sensors(self) -> tuple[str, ...]:
         return tuple(self.ghi_wm2.columns)
+
+    def around(self, wanted: pd.DatetimeIndex) -> Irradiance:
+        """Return what covers some times, the hours that they are in, and a step on both sides.
+
+        It is all, if some of that is missing.
+        """
+        hour = pd.Timedelta(hours=1)
+        first, last = wanted[0] - hour, wanted[-1] + hour
+        if first < self.times[0] or last > self.times[-1]:
+            return self
+        low, high = self.times.searchsorted([first, last], side="right")
+        return replace(self, ghi_wm2=self.ghi_wm2.iloc[low - 1 : high + 1])
 
 
 def read_measured_ghi(
@@ -199,10 +217,8 @@ def _begins(
     times = pd.DatetimeIndex(ghi_wm2.index)
     step = pd.Timedelta(int(np.median(np.diff(times.asi8))), unit="ns")
     if stamps is None:
-        words = re.findall("[a-z]+", table.stamp.lower().replace("_", " "))
-        stamps = "end" if set(_END_WORDS) & set(words) else None
-        stamps = "begin" if set(_BEGIN_WORDS) & set(words) else stamps
-        if stamps is not None:
+        words = re.findall("[a-z]+", table.stamp.lower())
+        if stamps := next((_NAMED[word] for word in words if word in _NAMED), None):
             table.notes.append(f"a time stamp names the {stamps} of its interval, by its header")
         elif step < pd.Timedelta(minutes=1):
             return times, None  # The sun moves too little to tell, or to matter.

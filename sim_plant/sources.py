@@ -15,7 +15,7 @@ from sim_plant import Floats
 from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
 from sim_plant.irradiance import Irradiance
 from sim_plant.kept import kept
-from sim_plant.pv import PvSettings, ac_power_kw
+from sim_plant.pv import PvSettings, ac_power_kw, check_night_is_dark
 from sim_plant.sites import Sites
 from sim_plant.time_steps import on_cycles
 
@@ -143,11 +143,19 @@ class MeasuredPlant:
         return self.repairs if self.earlier is None else self.repairs + self.earlier.repairs
 
 
-def measured_sky(sky: PlantUnderSky, irradiance: Irradiance) -> MeasuredPlant:
-    """Return a plant with one inverter at each sensor of measured irradiance."""
-    power_kw = sky.power_kw(irradiance.ghi_wm2.to_numpy(), irradiance.times)
-    source, report = irradiance.source, irradiance.report
-    return MeasuredPlant(sky.sites, irradiance.times, power_kw, source, report, sky)
+def measured_sky(
+    sky: PlantUnderSky, irradiance: Irradiance, wanted: pd.DatetimeIndex | None = None
+) -> MeasuredPlant:
+    """Return a plant with one inverter at each sensor of measured irradiance.
+
+    Its power is worked out around the `wanted` times; by default at all.
+    """
+    sites, source, report = sky.sites, irradiance.source, irradiance.report
+    ghi_wm2 = irradiance.ghi_wm2.to_numpy()
+    check_night_is_dark(ghi_wm2, irradiance.times, sites.lat_deg, sites.lon_deg)
+    part = irradiance if wanted is None else irradiance.around(wanted)
+    power_kw = sky.power_kw(part.ghi_wm2.to_numpy(), part.times)
+    return MeasuredPlant(sites, part.times, power_kw, source, report, sky)
 
 
 PowerSource: TypeAlias = CloudySky | MeasuredPlant

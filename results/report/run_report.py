@@ -148,21 +148,16 @@ def _with_first_screen(result: Result, series: RunSeries, clock: RunClock) -> Re
 def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
     """Yield the four numbers that a plant's owner asks for."""
     alone = figures["without-help"]
-    notes = {
-        "control-caused": "" if alone is None else f"without help: {percent(alone)}",
-        "unavoidable": "no controller could have given it",
-        "over-delivered": f"{figures['over-delivered-energy']:,.1f} kWh",
-        "curtailed": f"the price of the promise: {figures['curtailed-energy']:,.0f} kWh",
-    }
-    titles = {
-        "control-caused": "of the promise missed although there was power",
-        "unavoidable": "of the promise denied by the sky",
-        "over-delivered": "given too much",
-        "curtailed": "of the available energy left unused",
-    }
-    for name, note in notes.items():
+    missed = "" if alone is None else f"without help: {percent(alone)}"
+    left_kwh = f"the price of the promise: {figures['curtailed-energy']:,.0f} kWh"
+    for name, title, note in (
+        ("control-caused", "of the promise missed although there was power", missed),
+        ("unavoidable", "of the promise denied by the sky", "no controller could have given it"),
+        ("over-delivered", "given too much", f"{figures['over-delivered-energy']:,.1f} kWh"),
+        ("curtailed", "of the available energy left unused", left_kwh),
+    ):
         if (value := figures[name]) is not None:
-            yield KeyFigure(percent(value), titles[name], note)
+            yield KeyFigure(percent(value), title, note)
 
 
 def run_line(plan: RunPlan) -> str:

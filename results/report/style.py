@@ -146,8 +146,8 @@ def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None
     The lowest one says which clock it is, and what all lines show at a time is named together.
     """
     figure.update_layout(hovermode="x")
-    begin_ms = clock_ms(series)[0]
-    end_ms = begin_ms + series.cycles * series.cycle_s * 1e3
-    figure.update_xaxes(type="date", range=[begin_ms, end_ms])
+    times_ms = clock_ms(series)
+    end_ms = times_ms[-1] + series.cycle_s * 1e3
+    figure.update_xaxes(type="date", range=[times_ms[0], end_ms])
     last = {} if rows == 1 else {"row": rows, "col": 1}
     figure.update_xaxes(title_text=plain(f"local time ({series.times[0]:%Z})"), **last)

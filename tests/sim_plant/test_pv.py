@@ -15,7 +15,10 @@ from pvlib.pvsystem import (
 )
 from pvlib.temperature import TEMPERATURE_MODEL_PARAMETERS
 
-from sim_plant.pv import PvSettings, ac_power_kw
+from sim_plant.irradiance import Irradiance
+from sim_plant.pv import PvSettings, ac_power_kw, check_night_is_dark
+from sim_plant.sites import Sites
+from sim_plant.sources import PlantUnderSky, measured_sky
 
 LAT_DEG = np.array([21.31, 21.312])
 LON_DEG = np.array([-158.08, -158.085])
@@ -115,5 +118,22 @@ def test_the_sun_of_an_hourly_value_stands_where_it_is_in_the_middle_of_the_hour
 def test_daylight_at_midnight_is_refused() -> None:
     ghi_wm2 = np.zeros((len(DAY), 2))
     ghi_wm2[0, 1] = 700.0
-    found = complaint_of(power_kw, ghi_wm2, PvSettings())
+    found = complaint_of(check_night_is_dark, ghi_wm2, DAY, LAT_DEG, LON_DEG)
     assert "700.0 W/m2 at 2010-04-01T10:00:00" in found
+
+
+@pytest.mark.parametrize("cycle_s", [1, 10, 60])
+def test_the_power_around_a_run_is_that_of_the_whole_file(cycle_s: int) -> None:
+    times = pd.date_range("2010-04-01 18:00", periods=3000, freq="10s", tz="UTC")
+    ghi = pd.DataFrame(np.random.default_rng(3).uniform(0.0, 900.0, (3000, 2)), times, ["a", "b"])
+    places = pd.DataFrame({"lat": LAT_DEG, "lon": LON_DEG}, ["a", "b"])
+    sky = PlantUnderSky(Sites(("a", "b"), LAT_DEG, LON_DEG, RATING_KW), 0.0, PvSettings())
+    irradiance = Irradiance(ghi, places, "ghi.csv")
+    run = pd.date_range("2010-04-01 20:10", periods=120, freq=f"{cycle_s}s", tz="UTC")
+    part, whole = measured_sky(sky, irradiance, run), measured_sky(sky, irradiance)
+    assert len(part.measured_times) < len(whole.measured_times)
+    np.testing.assert_allclose(part.available_kw(run), whole.available_kw(run))
+    late = run + pd.Timedelta(hours=7)
+    assert "2010-04-01T18:00" in complaint_of(
+        measured_sky(sky, irradiance, late).available_kw, late
+    )
