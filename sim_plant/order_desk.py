@@ -81,14 +81,12 @@ class _Client:
         self.connection = connection
         self.owed = 0
         self._outbox: deque[tuple[bytes, bool]] = deque()
-        self._latest = b""
-        self._lock = threading.Lock()
 
     @property
     def awaits(self) -> int:
         """What the desk waits for: its orders, unless too many are open, and that it reads."""
         reads = select.POLLIN if self.owed < _MOST_ORDERS else 0
-        return reads | (select.POLLOUT if self._outbox or self._latest else 0)
+        return reads | (select.POLLOUT if self._outbox else 0)
 
     def packets(self) -> Iterator[bytes]:
         """Yield the packets that have come; the last one is empty if the program has gone."""
@@ -107,26 +105,16 @@ class _Client:
 
     def reply(self, text: str, *, is_in_force: bool = False) -> None:
         reply = Reply(text=text, is_in_force=is_in_force)
-        with self._lock:
-            self._latest = b""  # A status from before the reply would be taken for one after it.
-            self._outbox.append((msgspec.json.encode(reply), True))
+        self._outbox.append((msgspec.json.encode(reply), True))
 
     def tell(self, status: bytes) -> None:
-        """Let it hear what the plant did; one that does not read misses all but the newest."""
-        with self._lock:
-            if len(self._outbox) < _MOST_STATUSES:
-                self._outbox.append((status, False))
-                self._latest = b""
-            else:
-                self._latest = status
+        """Let it hear what the plant did; one that does not read misses that."""
+        if len(self._outbox) < _MOST_STATUSES:
+            self._outbox.append((status, False))
 
     def send(self) -> None:
         try:
-            while self._outbox or self._latest:
-                with self._lock:
-                    if not self._outbox:
-                        self._outbox.append((self._latest, False))
-                        self._latest = b""
+            while self._outbox:
                 packet, is_reply = self._outbox[0]
                 self.connection.send(packet)
                 self._outbox.popleft()
@@ -135,7 +123,7 @@ class _Client:
             pass
         except OSError:  # It has gone, and will be seen to have gone when it is next read.
             self._outbox.clear()
-            self._latest, self.owed = b"", 0
+            self.owed = 0
 
 
 class _Queued(NamedTuple):

@@ -86,7 +86,6 @@ class Conformance:
     def __post_init__(self) -> None:
         (self._agent,) = self.preparation.plan.access.external
         self.findings = Findings()
-        self._known: set[tuple[str, str]] = set()
 
     def run(self, seed: int) -> Findings:
         """Take the device through all situations; stop if it never arms."""
@@ -159,36 +158,22 @@ class Conformance:
         if failure and all((one.cycle or 0) < last for one in found):
             found.append(Failure("links", f"cycle {last}: {failure}", last))
         for one in found:
-            if (shows := shown[min(one.cycle or 0, recorded.cycles)]) != AWAY:
-                there = one._replace(
-                    requirement=one.requirement or shows,
-                    trial=folder.path.name,
-                    inputs=recorded.inputs_of(one.cycle or 0),
-                )
-                self._note(there, recorded.slow_cycle, is_any=not one.requirement)
+            cycle = one.cycle or 0
+            shows = shown[min(cycle, recorded.cycles)]
+            requirement = one.requirement or shows
+            if shows == AWAY:
+                continue
+            if recorded.slow_cycle is not None and cycle >= recorded.slow_cycle:
+                text = f"the machine was too slow to judge from cycle {recorded.slow_cycle} on"
+                self.findings.note(requirement, "too slow", f"{text}: lower --pace")
+                continue
+            inputs, trial = recorded.inputs_of(cycle), folder.path.name
+            self.findings.fail(one._replace(requirement=requirement, trial=trial, inputs=inputs))
         for wrong in ended.wrong if isinstance(ended, RunDocument) else ():
             if wrong.cause in (Cause.UNDECODABLE, Cause.UNKNOWN, Cause.WRONG_SENDER):
                 of = "bounds" if wrong.cause == Cause.UNDECODABLE else "decisions"
                 text = f"{wrong.key}: {wrong.cause}, {wrong.example}"
                 self.findings.fail(Failure(of, text, message=wrong.key))
-
-    def _note(self, failure: Failure, slow_cycle: int | None, *, is_any: bool) -> None:
-        """Note a failure, unless our own messages were too late, or it is one of old.
-
-        is_any: Whether it fails what its cycle shows, and no requirement of its own.
-        """
-        requirement, cycle = failure.requirement, failure.cycle or 0
-        if slow_cycle is not None and cycle >= slow_cycle:
-            text = f"the machine was too slow to judge from cycle {slow_cycle} on: lower --pace"
-            self.findings.note(requirement, "too slow", text)
-            return
-        if requirement == "decisions":
-            self._known.add(failure.what)
-        elif is_any and failure.what in self._known:
-            # One defect shall not fail all that comes after it.
-            self.findings.note(requirement, "not judged", "answers differ as under `decisions`")
-            return
-        self.findings.fail(failure)
 
 
 def _of_cycles(profile: Profile, cycles: int) -> Profile:

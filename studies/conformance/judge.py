@@ -176,15 +176,12 @@ def judge(recorded: DeviceRun, equality: Equality, rejoins_in: int | None = None
             process, number = (port, answer.message.incarnation), answer.message.sequence
             if number != (due := sequences.get(process, 0)):
                 text = f"{where}, sequence: expected {due}, got {number}"
-                of_head = port.signal.name, "sequence"
-                found.append(Failure("head", text, cycle, str(port), of_head))
+                found.append(Failure("head", text, cycle, str(port)))
             sequences[process] = number + 1
         if port.signal.is_cyclic and cycle not in not_judged:
             mine = ours.get((port, cycle))
-            for of, what, why in _wrong(recorded, equality, port, cycle, mine, answers):
-                signal = "" if what == "late" else port.signal.name
-                text = f"{where}, {why}"
-                found.append(Failure(of, text, cycle, str(port), (signal, what)))
+            for of, why in _wrong(recorded, equality, port, cycle, mine, answers):
+                found.append(Failure(of, f"{where}, {why}", cycle, str(port)))
     return found
 
 
@@ -195,32 +192,32 @@ def _wrong(
     cycle: int,
     mine: Answer | None,
     answers: Sequence[Answer],
-) -> Iterator[tuple[str, str, str]]:
-    """Yield requirement, field and text of what is wrong in the answers on a port in a cycle."""
+) -> Iterator[tuple[str, str]]:
+    """Yield requirement and text of what is wrong in the answers on a port in a cycle."""
     if not answers:
         if mine is not None and recorded.has_begun(cycle):
-            yield "", "nothing", "nothing came"
+            yield "", "nothing came"
         return
     its, heard_ns = answers[0]
     if cycle >= recorded.cycles:
-        yield "stop", "after", "published after the end of the run"
+        yield "stop", "published after the end of the run"
         return
     if len(answers) > 1:
-        yield "links", "twice", "it came twice"
+        yield "links", "it came twice"
     came_ns = its.publish_time_ns
     is_now = heard_ns - _OLDEST_NS < came_ns <= heard_ns + _CLOCKS_DIFFER_NS
     if came_ns and not (is_now and its.ready_time_ns <= came_ns):
-        yield "head", "times", "expected ready_time_ns and publish_time_ns of this clock, or 0"
+        yield "head", "expected ready_time_ns and publish_time_ns of this clock, or 0"
     wrong = out_of_range(recorded.plan, port, its, heard_ns)
     if wrong and not wrong.startswith("sim_time_ns"):
-        yield "bounds", "bounds", wrong
+        yield "bounds", wrong
     elif mine is None:
-        yield "", "something", "published, expected nothing"
+        yield "", "published, expected nothing"
     elif late_ms := recorded.late_ms(port, cycle, answers[0], mine):
         # It was decided later than ours, maybe on other inputs.
-        yield "", "late", f"answered {late_ms:.0f} ms late"
+        yield "", f"answered {late_ms:.0f} ms late"
     else:
         ignored = frozenset() if its.missing else frozenset({"missing"})  # It may be left empty.
         for one in Equality(equality.tolerance, ignored).differences(port, its, mine.message)[:1]:
             requirement = "head" if one.field in _OF_THE_HEAD else ""
-            yield requirement, one.field, f"{one.field}: expected {one.new}, got {one.recorded}"
+            yield requirement, f"{one.field}: expected {one.new}, got {one.recorded}"

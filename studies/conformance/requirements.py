@@ -27,15 +27,13 @@ REQUIREMENTS: Final[dict[str, str]] = {
 }
 """Requirements by name, in the order of the report."""
 
-_RESULTS: Final = ("not tried", "PASS", "not judged", "too slow", "FAIL")
+_RESULTS: Final = ("not tried", "PASS", "too slow", "FAIL")
 
 
 class Failure(NamedTuple):
     """What is wrong in a cycle.
 
     requirement: What it fails; empty: what the cycle shows.
-    what: Signal, and field or kind of the difference. A late answer names no signal: one late stage
-        makes all later stages of its cycle late.
     message: Its key; empty: no single one is wrong.
     trial, inputs: In which launch, and what the device was sent in the cycle.
     """
@@ -44,7 +42,6 @@ class Failure(NamedTuple):
     text: str
     cycle: int | None = None
     message: str = ""
-    what: tuple[str, str] = ("", "")
     trial: str = ""
     inputs: Mapping[str, list[dict[str, Any]]] = {}
 
