@@ -140,7 +140,6 @@ class AgentResult:
     first: Difference | None = None
     last_cycle: int = -1
     failure: Difference | None = None
-    not_compared: int = 0
     gaps: list[Gap] = field(default_factory=list)
 
     def compare(

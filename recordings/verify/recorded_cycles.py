@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, TypeAlias
 
@@ -21,23 +20,12 @@ RecordedCycle: TypeAlias = dict[Port[Message], list[Message]]
 """The messages of a cycle by port, in the order in which the recorder heard them."""
 
 
-@dataclass(slots=True)
-class MessageCounts:
-    """How many messages were read, and how many of them agents decide.
-
-    Misplaced ones belong to no cycle of the run, or come long after theirs.
-    """
-
-    recorded: int = 0
-    decided: int = 0
-    misplaced: int = 0
-
-
 class RecordedCycles:
     """The cycles of a recording in order.
 
     Without a `stop_cycle` the run broke off: nothing is known of an agent from its newest cycle on.
-    `absences` may be missing in the file, see `unrecorded_spans`.
+    `absences` may be missing in the file, see `unrecorded_spans`. `misplaced` counts messages that
+    belong to no cycle of the run, or come long after theirs.
     """
 
     def __init__(
@@ -47,7 +35,7 @@ class RecordedCycles:
         stop_cycle: int | None,
         absences: Sequence[tuple[str, range]] = (),
     ) -> None:
-        self.counts = MessageCounts()
+        self.misplaced = 0
         self._deliveries = deliveries
         self._plan = plan
         self._absences = list(absences)
@@ -81,13 +69,11 @@ class RecordedCycles:
         )
 
     def __iter__(self) -> Iterator[tuple[int, RecordedCycle]]:
-        plan, counts = self._plan, self.counts
+        plan = self._plan
         cycles_ahead = plan.control.periods.longest + _CYCLES_AHEAD
         most_waiting = max(_READ_AHEAD, len(plan.wiring.ports) * cycles_ahead)
         for port, message in self._deliveries:
-            counts.recorded += 1
             if port.signal.decided:
-                counts.decided += 1
                 self._add(port, message)
             elif isinstance(message, GivenUp):
                 for agent in message.agents:
@@ -107,10 +93,10 @@ class RecordedCycles:
             self._waiting += 1
             newest = self._newest[agent]
             newest[message.incarnation] = max(cycle, newest.get(message.incarnation, -1))
-        elif self._end <= cycle < self._plan.timing.cycles:
-            self.counts.decided -= 1  # Agents may have begun a cycle that did not take place.
-        elif agent not in self._plan.access.external:  # A device may send anything.
-            self.counts.misplaced += 1
+            return
+        # Agents may have begun a cycle that did not take place; a device may send anything.
+        is_begun = self._end <= cycle < self._plan.timing.cycles
+        self.misplaced += not is_begun and agent not in self._plan.access.external
 
     def _pop(self) -> tuple[int, RecordedCycle]:
         """Return the next cycle; forget the one that is too old to be an input of it."""

@@ -35,7 +35,7 @@ def verification_lines(
     verification: Verification, equality: Equality, wall_s: float
 ) -> Iterator[str]:
     """Yield the result line by line; the last one is the verdict."""
-    plan, agents, messages = verification.plan, verification.agents, verification.messages
+    plan, agents = verification.plan, verification.agents
     speed = verification.cycles * plan.timing.cycle_ns / 1e9 / max(wall_s, 1e-9)
     yield (
         f"{verification.cycles:,} cycles, {len(agents)} agents run again in {wall_s:.1f} s, "
@@ -45,13 +45,8 @@ def verification_lines(
         yield f"{name}: left out, {why}"
     if verification.stop_cycle is None:
         yield "the run or its recording broke off: the last cycle of each agent may be incomplete"
-    if verification.unrecorded_cycles is not None:
-        yield (
-            "the recorder was started again, or the file is damaged: "
-            f"{verification.unrecorded_cycles:,} cycles not recorded"
-        )
     yield from _gap_lines(agents)
-    if count := messages.misplaced:
+    if count := verification.misplaced:
         yield f"{count:,} messages belong to no cycle of the run, or come long after it"
     yield from difference_lines(agents, RunClock(plan, plan.timing.cycles - 1))
     if verification.same_code is False:
@@ -103,7 +98,7 @@ def verification_data(verification: Verification, wall_s: float) -> dict[str, An
         "stop_cycle",
         "cycles",
         "differences",
-        "unrecorded_cycles",
+        "misplaced",
         "left_out",
         "same_code",
     )
@@ -112,8 +107,7 @@ def verification_data(verification: Verification, wall_s: float) -> dict[str, An
         "recording": str(verification.recording),
         "run_id": verification.plan.run_id,
         **{name: getattr(verification, name) for name in names},
-        **msgspec.to_builtins(verification.messages),
-        **{name: verification.total(name) for name in ("compared", "not_compared")},
+        "compared": verification.total("compared"),
         "first_agent": None if first is None else first[0],
         "wall_s": wall_s,
         "agents": agents_data(verification.agents),

@@ -135,8 +135,6 @@ class AgentRerun:
                 text = f"{type(error).__name__}: {error}"
                 used = {str(port): message for port, message in now.used.items()}
                 self.result.add(Difference("fails", cycle, now.stage, inputs=used, text=text))
-        left = (messages for one in outputs.values() for messages in one.values())
-        self.result.not_compared += sum(map(len, left))
 
     def _outputs(self, cycle: int) -> dict[int, Outputs]:
         """Return what each process of the agent published in a cycle.

@@ -16,12 +16,11 @@ from agents.team import controller, direct_controller
 from bus_schemas.code_digest import code_digest
 from bus_schemas.errors import InputError
 from bus_schemas.selection import find_agents
-from bus_schemas.signals import PRODUCTION
-from bus_schemas.tree import PLANT, ROOT, agent_name
+from bus_schemas.tree import PLANT, agent_name
 from recordings.read.gaps import unrecorded_spans
 from recordings.read.reader import RunReader
 from recordings.verify.comparison import BIT_FOR_BIT, AgentResult, Difference, Equality
-from recordings.verify.recorded_cycles import MessageCounts, RecordedCycles
+from recordings.verify.recorded_cycles import RecordedCycles
 from recordings.verify.rerun import AgentRerun, DeviceController
 from sim_plant.plant import Plant
 from sim_plant.profile import PROFILE_NAME, Profile, load_profile
@@ -33,19 +32,18 @@ _Make: TypeAlias = Callable[[], Agent[Any]]
 class Verification:
     """The result of verifying a run.
 
-    `stop_cycle` is the first cycle that did not take place; None if the run broke off. In
-    `unrecorded_cycles` the recorder was away; None if it always was there. `asked` counts the
-    recorded messages of the agents that are to be compared. `agents` are the results
-    of the agents that were run again, `left_out` the others and why. `same_code` says whether the
-    recording was made by the code at hand; None if it does not say.
+    `stop_cycle` is the first cycle that did not take place; None if the run broke off. `misplaced`
+    counts messages of no cycle. `asked` counts the recorded messages of the agents that are to be
+    compared. `agents` are the results of the agents that were run again, `left_out` the others and
+    why. `same_code` says whether the recording was made by the code at hand; None if it does not
+    say.
     """
 
     recording: Path
     plan: RunPlan
     stop_cycle: int | None
     cycles: int
-    messages: MessageCounts
-    unrecorded_cycles: int | None
+    misplaced: int
     asked: int
     agents: dict[str, AgentResult]
     left_out: dict[str, str]
@@ -71,7 +69,7 @@ class Verification:
 
     @property
     def differs(self) -> bool:
-        return bool(self.differences or self.messages.misplaced)
+        return bool(self.differences or self.misplaced)
 
     @property
     def share(self) -> float:
@@ -103,28 +101,25 @@ def verify(
         plan, stop_cycle = reader.plan, reader.stop_cycle
         code = reader.metadata.get("run", {}).get("code")
         team, left_out = _team(plan, nodes, reader.path)
-        absences = list(unrecorded_spans(reader))
-        recorded = RecordedCycles(reader.messages(), plan, stop_cycle, absences)
+        absences = unrecorded_spans(reader)
+        recorded = RecordedCycles(reader.messages(), plan, stop_cycle, list(absences))
         reruns = {
             name: AgentRerun(name, make, plan, recorded, equality) for name, make in team.items()
         }
-        cycles = unrecorded = left_out_messages = 0
+        cycles = left_out_messages = 0
         for cycle, messages in recorded:
             for rerun in reruns.values():
                 rerun.take(cycle)
             cycles += bool(messages)
             of = (len(found) for port, found in messages.items() if port.publisher in left_out)
             left_out_messages += sum(of)
-            has_production = PRODUCTION.of(ROOT) in messages
-            unrecorded += not has_production and recorded.was_away(PLANT, cycle)
     results = {name: rerun.result for name, rerun in reruns.items()}
     verification = Verification(
         reader.path,
         plan,
         stop_cycle,
         cycles,
-        recorded.counts,
-        unrecorded if absences else None,
+        recorded.misplaced,
         left_out_messages + sum(result.recorded for result in results.values()),
         results,
         left_out,

@@ -93,7 +93,6 @@ def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     assert first_differences(found) == {}
     assert not found.equal, "not all could be compared"
     assert 0.0 < found.share < 1.0
-    assert found.unrecorded_cycles == summary["cycles"] - len(recorded)
 
 
 @pytest.mark.soak

@@ -75,7 +75,7 @@ def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
     ended = re.findall(r"^.*(?:: killed|gave up|ended \().*$", run.output.read_text(), re.MULTILINE)
     found_again = verify(run.folder)
-    compared, of = found_again.total("compared"), found_again.messages.decided
+    compared, of = found_again.total("compared"), found_again.asked
     with capsys.disabled():
         print(f"\n{folder.name}: {kills.total()} kills in {cycles:,} cycles")
         print(
