@@ -15,7 +15,7 @@ Delivery: TypeAlias = tuple[Port[Message], Message]
 
 
 class Arrival(NamedTuple):
-    """A message that has come to an agent, on which port, and when [ns of the run's clock]."""
+    """A message that has come to an agent, and when [ns of the run's clock]."""
 
     agent: str
     port: Port[Message]
@@ -41,7 +41,7 @@ class Bus(Protocol):
     """Takes the messages of one or more agents and brings them those of others."""
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
-        """Send a message to all who listen to its port."""
+        """Send a message to the listeners of its port."""
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
         """Wait for messages, `wanted` being of use, until a time of the run's clock if given."""
@@ -62,7 +62,7 @@ class Outbox:
 
     @property
     def published(self) -> Counter[str]:
-        """Messages published in the cycles of the run, by signal name: what must be recorded."""
+        """Messages published in the run, by signal: they must be recorded."""
         counts: Counter[str] = Counter()
         for (port, _), sent in self._sent.items():
             if port.signal.logged:

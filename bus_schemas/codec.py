@@ -17,7 +17,7 @@ decode_head: Final[Callable[[bytes], Head]] = msgspec.msgpack.Decoder(Head).deco
 """Returns the head of a message of any signal, or raises one of `UNREADABLE`."""
 
 UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""What a decoder raises for bytes or text that are not what it expects."""
+"""Errors of decoders."""
 
 encode_bundle: Final[Callable[[Sequence[tuple[str, Message]]], bytes]] = (
     msgspec.msgpack.Encoder().encode

@@ -37,11 +37,11 @@ class InputError(ValueError):
 
 
 class FailureError(Exception):
-    """What was asked for could not be done, for no fault of the input: exit status 1."""
+    """The input is sound, and the task failed: exit status 1."""
 
 
 class InputWarning(UserWarning):
-    """Only a part of the user's input could be used; the text says which part is missing."""
+    """A part of the user's input could not be used; the text says which."""
 
 
 def not_one_of(known: Iterable[str], name: str, what: str = "one of ") -> str:

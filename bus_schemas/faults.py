@@ -33,7 +33,7 @@ Interval: TypeAlias = tuple[Second, Second]
 
 
 class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
-    """A fault. `at` says when it acts: a time, or beginning and end."""
+    """A fault. `at`: When it acts, a time, or beginning and end."""
 
     def __post_init__(self) -> None:
         at = getattr(self, "at", None)
@@ -132,7 +132,6 @@ def acts_on(fault: LinkFault, port: Port[Message], listener: str) -> bool:
 
 
 def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:
-    """Each port of a cyclic signal with each agent that acts on it."""
     return [
         (port, listener)
         for port in ports(tree)

@@ -17,16 +17,15 @@ CLOCK_BYTES: Final = 16
 class HostClock:
     """The monotonic clock of another host, by the messages that come from there.
 
-    The message that came fastest sets it. It then falls back by more than the two clocks run apart,
-    until the next fast message sets it. The processes of this host have one clock, in the `memory`
-    that they share: by how much this host's is ahead, and when that was set; 0: never.
+    The fastest message sets it. It then falls back by more than the two clocks run apart, until the
+    next fast message sets it. The processes of this host share one clock in `memory`: by how much
+    this host's is ahead, and when that was set; 0: never.
     """
 
     def __init__(self, memory: memoryview | None = None) -> None:
         self._memory = memoryview(bytearray(CLOCK_BYTES)).cast("q") if memory is None else memory
 
     def observe(self, published_ns: int, came_ns: int) -> None:
-        """Take in a message: its publish time there, and when it came by this host's clock."""
         if published_ns <= 0:
             return
         if not self._memory[1]:

@@ -23,8 +23,7 @@ Item: TypeAlias = tuple[Source, zenoh.ZBytes, int]
 _NEVER: Final = 1 << 60
 
 _CROWDED: Final = 10_000
-"""From this many waiting messages on, each port has a limit: a flood of one port must neither take
-all memory nor keep the others out."""
+"""From this many waiting messages on, each port has a limit: one port must not take all memory."""
 
 _MOST_OF_A_PORT: Final = 100
 
@@ -77,7 +76,6 @@ class Inbox:
         return len(self._items) >= wanted or (self._urgent and bool(self._items))
 
     def sleep(self, timeout_s: float) -> None:
-        """Sleep until somebody wakes the agent, or the time-out has come."""
         if timeout_s > 0.0:
             self._gate.acquire(timeout=timeout_s)
 

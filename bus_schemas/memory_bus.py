@@ -1,7 +1,7 @@
 """The bus inside one process, with or without a virtual clock.
 
-With a clock nothing waits: it jumps to the arrival of the next message, or the time up to which a
-receiver waits. So a run is the same each time, to the last bit.
+With a clock nothing waits: it jumps to the next arrival, or to the time until which a receiver
+waits. So a run is the same each time, to the last bit.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ class VirtualClock:
 class MemoryBus:
     """One bus for all agents of a process, with one queue.
 
-    listeners: Who hears each port.
-    on_publish: Called with every message that is published, as a recorder would hear it.
+    on_publish: Called with every message, as a recorder would hear it.
     clock: Set to the time of each arrival. None: lockstep, where nothing waits for a time.
     faults: Of the network; they need a clock.
     """
@@ -59,7 +58,7 @@ class MemoryBus:
         self._held[agent] = [] if keep else None
 
     def release(self, agent: str) -> None:
-        """Bring an agent messages again, those first that were kept."""
+        """Deliver to an agent again, the kept messages first."""
         self._arrived.extendleft(reversed(self._held.pop(agent) or []))
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:

@@ -71,7 +71,7 @@ class NetworkFaults:
 
 
 class _FaultOnLink:
-    """One fault on one link. Its draws are words of a hash: none depends on those before it."""
+    """One fault on one link. Its draws are words of a hash."""
 
     def __init__(self, fault: LinkFault, seed_text: str) -> None:
         self.fault = fault

@@ -15,18 +15,15 @@ _SUBTREE: Final = "/*"
 
 
 def find_signals(
-    names: str | Iterable[Signal[Message] | str], where: str = "--signals"
+    names: str | Iterable[Signal[Message] | str],
 ) -> tuple[Signal[Message], ...]:
-    """Return the recorded signals of these names, or of one text with commas between them.
-
-    `where` is the option that an error names.
-    """
+    """Return the recorded signals of these names, or of one text with commas between them."""
     recorded = {signal.name: signal for signal in SIGNALS if signal.logged}
     found = []
-    for name in _words(names, where) if isinstance(names, str) else names:
+    for name in _words(names, "--signals") if isinstance(names, str) else names:
         text = name if isinstance(name, str) else name.name
         if text not in recorded:
-            raise InputError.of(where, not_one_of(recorded, text))
+            raise InputError.of("--signals", not_one_of(recorded, text))
         found.append(recorded[text])
     return tuple(found)
 
@@ -34,7 +31,6 @@ def find_signals(
 def find_nodes(
     tree: ControlTree, names: str | Iterable[str], where: str = "--nodes"
 ) -> tuple[str, ...]:
-    """Return the paths of the nodes that `find_agents` finds."""
     agents = find_agents(tree, names, where, also=())
     return tuple(ROOT if agent == CENTRAL else agent for agent in agents)
 

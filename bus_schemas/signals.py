@@ -12,7 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
-from typing import Final, Generic, TypeVar
+from types import GenericAlias
+from typing import Any, Final, Generic, TypeVar
 
 import msgspec
 
@@ -72,7 +73,6 @@ _CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
 class Signal(Generic[M_co]):
     """One row of the table.
 
-    name: Last part of its key.
     logged: Whether the recorder keeps it.
     decided: Whether an agent decides it, so that the same inputs give it again, or its process.
     hop_p99_ms: Timing budget on one host: from publishing to arrival at a listener, 99 of 100
@@ -92,13 +92,15 @@ class Signal(Generic[M_co]):
 
     @cached_property
     def decode(self) -> Callable[[bytes], M_co]:
-        """Returns the message of a payload, or raises one of `bus_schemas.codec.UNREADABLE`."""
+        """Returns the message of a payload, or raises one of `UNREADABLE`."""
         return msgspec.msgpack.Decoder(self.type).decode
 
     @cached_property
     def decode_bundle(self) -> Callable[[bytes], list[tuple[str, M_co]]]:
         """Returns keys and messages of a bundle of this signal, or raises likewise."""
-        return msgspec.msgpack.Decoder(list[tuple[str, self.type]]).decode  # type: ignore[name-defined]
+        pairs: Any = GenericAlias(list, GenericAlias(tuple, (str, self.type)))
+        decode: Callable[[bytes], list[tuple[str, M_co]]] = msgspec.msgpack.Decoder(pairs).decode
+        return decode
 
     @property
     def is_cyclic(self) -> bool:
@@ -177,7 +179,7 @@ _NAMES: Final = {
 def listeners(
     port: Port[Message], tree: ControlTree, *, has_operator: bool = False
 ) -> tuple[str, ...]:
-    """Names of the agents that act on a port's messages. The recorder hears all of them besides.
+    """Return the agents that act on a port's messages; the recorder hears all.
 
     has_operator: Whether the operator is a program on the bus.
     """

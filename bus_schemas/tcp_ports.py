@@ -16,12 +16,11 @@ def reserved_ports(
     address: str = "127.0.0.1",
     devices: Collection[str] = (),
 ) -> Iterator[dict[str, int]]:
-    """Reserve a port at an address of this host for each agent, until the context is left.
+    """Reserve a port of this host for each agent, until the context is left.
 
-    A socket stays bound to each port without listening on it: the kernel gives the port to no other
-    program, but Zenoh, which sets SO_REUSEADDR as well, can listen on it. The first agent gets
-    `base_port`, and the others the next ones; None: any that are free. A device that knows its port
-    beforehand may listen on it already.
+    A socket stays bound to each port without listening on it: the kernel gives it to no other
+    program, but Zenoh, which sets SO_REUSEADDR as well, can listen on it. The agents get
+    `base_port` and the next ones; None: any. A device may listen on its port already.
     """
     with ExitStack() as sockets:
         ports: dict[str, int] = {}

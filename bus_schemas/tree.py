@@ -31,7 +31,6 @@ _NAME = re.compile(rf"[A-Za-z0-9_-]{{1,{LONGEST_PATH}}}")
 
 
 def agent_name(path: str) -> str:
-    """Name of the agent at a node: its path, or `central` for the root."""
     return path or CENTRAL
 
 
@@ -39,8 +38,8 @@ def agent_name(path: str) -> str:
 class ControlTree:
     """Inverters as leaves, clusters above them, the central controller at the root.
 
-    Nothing here knows how many tiers there are: `c2/inv07` has two above it, `z1/c2/inv07` three.
-    Storages stand beside inverters or clusters. Their ratings do not count in those of parents.
+    There may be any number of tiers. Storages stand beside inverters or clusters; their ratings do
+    not count in those of parents.
 
     inverters: Path and AC rating [kW] of each inverter, in the plant's order.
     storages: The same of each storage.
@@ -103,7 +102,7 @@ class ControlTree:
 
     @property
     def devices(self) -> tuple[str, ...]:
-        """Paths of the inverters and the storages: the nodes that have a direct controller."""
+        """Paths of the inverters and the storages."""
         return self.leaves + self.storage_paths
 
     @cached_property
@@ -129,7 +128,7 @@ class ControlTree:
         return path in self.storage_paths
 
     def rating_kw(self, path: str) -> float:
-        """Rating of a device; of a parent, that of the inverters below it."""
+        """Rating of a device, or of the inverters below a parent."""
         return self._ratings_kw[path]
 
     def sharing_kw(self, path: str) -> float:
@@ -163,7 +162,7 @@ class ControlTree:
 
 
 def ancestors(path: str) -> tuple[str, ...]:
-    """Paths above a node, from its parent up to the root."""
+    """Paths above a node, upwards."""
     parts = path.split("/") if path else []
     return tuple("/".join(parts[:end]) for end in range(len(parts) - 1, -1, -1))
 
@@ -176,12 +175,11 @@ def common_ancestor(paths: Collection[str]) -> str:
 
 
 def depth(path: str) -> int:
-    """Tiers between the root and the node: 0 for the root, 1 for its children."""
+    """Return the tier of a node: 0 for the root."""
     return path.count("/") + 1 if path else 0
 
 
 def parent_of(path: str) -> str:
-    """Path of a node's parent; that of the root is the root."""
     return path.rpartition("/")[0]
 
 

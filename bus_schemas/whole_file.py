@@ -39,7 +39,7 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 
 @contextmanager
 def named_in_errors(path: Path) -> Iterator[None]:
-    """Name a path in errors that name none, as of a full disk, or only a temporary name."""
+    """Name a path in errors that name none, or only a temporary name."""
     try:
         yield
     except OSError as error:
@@ -69,7 +69,7 @@ def new_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder; remove an unfinished file at the end."""
+    """Give a temporary name in the same folder; at the end remove what has it."""
     beside = path.with_name(f".{path.name}.{os.getpid()}{_UNFINISHED}")
     try:
         yield beside

@@ -103,15 +103,11 @@ class Wiring:
         self.bundles = self._bundles()
 
     def process_of(self, name: str) -> str:
-        """Return the process that runs an agent."""
         return self._process_of.get(name, name)
 
     @cached_property
     def carried(self) -> dict[tuple[str, str], list[Port[Message]]]:
-        """The ports on which a process publishes what another hears, by that pair.
-
-        The recorder, which hears all, has the ports of every process.
-        """
+        """The ports that a process publishes and another hears, by pair. The recorder hears all."""
         found: dict[tuple[str, str], list[Port[Message]]] = {}
         for port, hearers in self.listeners.items():
             source = self.process_of(port.publisher)
@@ -121,7 +117,7 @@ class Wiring:
         return found
 
     def _bundles(self) -> tuple[Bundle, ...]:
-        """Return the bundles. Who hears one also hears each of its messages by itself."""
+        """Return the bundles. Their sinks also hear each of the messages by itself."""
         found: dict[str, Bundle] = {}
         for port, hearers in self.listeners.items():
             source = self.process_of(port.publisher)
@@ -139,7 +135,6 @@ class Wiring:
         return f"{self.plant}/{port}"
 
     def port(self, key: str) -> Port[Message] | None:
-        """Port that a key names, None if there is none."""
         return self._port_of.get(key)
 
     def key_exprs(
@@ -161,13 +156,12 @@ class Wiring:
         return found
 
     def bundle_exprs(self, bundles: Collection[Bundle], least: int) -> list[str]:
-        """Return key expressions that match these bundles, of many that a process hears."""
         if len(bundles) < least:
             return [self.key(bundle) for bundle in bundles]
         return [*dict.fromkeys(f"{self.plant}/**/{one.signal.name}_bundle" for one in bundles)]
 
     def _wildcard(self, signal: Signal[Message], nodes: set[str]) -> str | None:
-        """Return one key expression for a signal of exactly these nodes; None: there is none."""
+        """Return one key expression for a signal of exactly these nodes, if there is one."""
         top, below = common_ancestor(nodes), self._below[signal]
         start = f"{self.plant}/{top}/" if top else f"{self.plant}/"
         if len(nodes) == below[top]:
@@ -221,7 +215,6 @@ class Links:
     def endpoints(
         self, agent: str, endpoint_of: Callable[[str], str]
     ) -> tuple[list[str], list[str]]:
-        """Return where a process listens, and where it connects."""
         tops = [top for top, below in self.pairs if below == agent]
         listens = [endpoint_of(agent)] if agent in self.listening else []
         return listens, [endpoint_of(top) for top in tops]

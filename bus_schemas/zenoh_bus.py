@@ -110,7 +110,7 @@ class ZenohBus:
     def _declare_publishers(
         self, process: str, settings: SessionSettings
     ) -> dict[Source, list[Put]]:
-        """Return what puts the messages of each port: on the links of agents, then of devices."""
+        """Return what puts the messages of each port, for agents and then for devices."""
         wiring = self._wiring
         devices = set(() if settings.devices is None else settings.devices.peers)
         published = wiring.carried[process, RECORDER]
@@ -175,7 +175,6 @@ class ZenohBus:
             self._own.append(Arrival(agent, port, message, now_ns))
 
     def send_bundles(self) -> None:
-        """Send what was kept to go out together."""
         for bundle, messages in self._bundled.items():
             self._send_bundle(bundle, messages)
         self._bundled.clear()
@@ -197,7 +196,6 @@ class ZenohBus:
             self._sends[0] = False
 
     def change_device_puts(self, change: PutChange) -> None:
-        """Change how messages are put on the links with devices."""
         for source, puts in self._puts.items():
             if isinstance(source, Port):
                 puts[1:] = [change(source, put) for put in puts[1:]]
@@ -249,13 +247,12 @@ class ZenohBus:
         return self.inbox.want(wanted)
 
     def timeout_s(self, until_ns: int | None) -> float:
-        """How long to wait for a time of the run's clock, at most for the patience."""
         if until_ns is None:
             return self._patience_s
         return min(self._patience_s, (until_ns - self.now_ns()) / 1e9)
 
     def arrivals(self, taken: Sequence[Item]) -> list[Arrival]:
-        """Return the messages among the agents of the process, then those taken from the inbox."""
+        """Return the messages among the agents of the process, then those from the inbox."""
         arrivals = list(self._own)
         self._own.clear()
         for source, payload, came_ns in taken:

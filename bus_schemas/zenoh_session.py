@@ -64,7 +64,7 @@ class KeyFiles:
         return cls(folder / "ca.pem", folder / f"{name}.pem", folder / f"{name}.key")
 
     def config(self) -> dict[str, object]:
-        """Return Zenoh's settings for links of TLS on which both ends show their certificate."""
+        """Return Zenoh's settings for TLS on which both ends show their certificate."""
         return {
             "transport/link/tls": {
                 "root_ca_certificate": str(self.authority),
@@ -106,7 +106,6 @@ class SessionSettings:
 
     @property
     def tcp_ports(self) -> Set[int]:
-        """The ports at which it listens on the network, or connects to."""
         own = {
             int(end.rpartition(":")[2])
             for end in (*self.listen, *self.connect)
@@ -115,7 +114,6 @@ class SessionSettings:
         return own if self.devices is None else own | self.devices.tcp_ports
 
     def config(self) -> zenoh.Config:
-        """Return the settings of a process's session, as Zenoh takes them."""
         config = zenoh.Config()
         lease_ms, ends = round(self.lease_s * 1e3), (*self.listen, *self.connect)
         settings: dict[str, object] = {
@@ -187,7 +185,7 @@ def _keep_from_lingering(ports: Set[int], is_over: threading.Event, every_s: flo
 
 
 class TokenWatch:
-    """The liveliness tokens of all agents, as an agent's sessions see them."""
+    """The liveliness tokens of all agents."""
 
     def __init__(self, key: str, sessions: Sequence[zenoh.Session]) -> None:
         self._alive: set[str] = set()
@@ -239,7 +237,6 @@ class Sessions:
         return TokenWatch(self._wiring.alive_key("**"), self.all)
 
     def show_tokens(self, members: Sequence[str]) -> None:
-        """Let others see that the agents of the process are there."""
         self.kept += (
             session.liveliness().declare_token(self._wiring.alive_key(name))
             for session in self.all
@@ -303,7 +300,6 @@ class RunSubscriber:
             )
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
-        """Yield what has come."""
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 yield str(sample.key_expr), sample.payload.to_bytes()

@@ -12,7 +12,7 @@ import lz4.frame
 import pytest
 from command_line import heliarch, refusal
 from mcap.opcode import Opcode
-from msgspec.structs import replace
+from msgspec.structs import force_setattr, replace
 from plans_by_hand import with_changes
 from recordings_by_hand import (
     PLAN,
@@ -22,6 +22,7 @@ from recordings_by_hand import (
 )
 
 from bus_schemas.codec import encode
+from bus_schemas.faults import Blackout
 from bus_schemas.messages import Impp
 from bus_schemas.signals import IMPP
 from recordings.record.writer import RunWriter
@@ -48,6 +49,12 @@ def with_payload(payload: bytes) -> Callable[[Path], None]:
     return make
 
 
+def with_a_fault_that_ends_first(path: Path) -> None:
+    fault = Blackout(at=(5.0, 10.0))
+    force_setattr(fault, "at", (10.0, 5.0))
+    with_plan(faults=(fault,))(path)
+
+
 NESTED = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
 
 
@@ -57,6 +64,7 @@ NESTED = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
         (with_plan(cycle_ns=2**62), "cycle_ns: expected above 0, up to"),
         (with_plan(cycles=10**15), "cycles: expected up to"),
         (with_plan(period_cycles=(1,)), "period_cycles"),
+        (with_a_fault_that_ends_first, "an end after the beginning 10 s, got 5 s"),
     ],
 )
 def test_hostile_content_is_refused_in_one_line(
