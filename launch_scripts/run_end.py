@@ -82,7 +82,7 @@ def ended(
         cycles=recorded.cycles,
         dropped=by_cause,
         recording_ended=recorded.ended_early or fault,
-        wrong=_wrong_messages(plan, recorded, dropped),
+        wrong=_wrong_messages(plan, recorded),
         figures=run_figures(series) if series else None,
         messages=_messages(
             plan, recorded, external, published, {} if is_complete else gaps, _by_signal(gaps)
@@ -212,38 +212,17 @@ def _messages(
     )
 
 
-def _wrong_messages(
-    plan: RunPlan, recorded: Recorded, dropped: Dropped
-) -> tuple[WrongMessages, ...]:
-    """Return the wrong messages by key and cause, the most frequent first, each once.
-
-    The recorder names each message once, with its first cause. Of what agents dropped, that beyond
-    it is added, and that of external agents alone: other late messages are the machine's fault.
-    """
-    publishers = {str(port): port.publisher for port in plan.wiring.ports}
-    counts: Counter[tuple[str, str]] = Counter()
-    examples, named = dict[tuple[str, str], str](), Counter[str]()
-    for complaint in recorded.complaints:
-        key = complaint.key.removeprefix(f"{plan.plant}/")
-        counts[key, complaint.cause] += complaint.count
-        examples[key, complaint.cause] = complaint.example
-        named[key] += complaint.count
-    most: Counter[tuple[str, str]] = Counter()
-    for key, cause, count in dropped:  # Several listeners drop one message.
-        if publishers.get(key) in plan.access.external:
-            most[key, cause] = max(most[key, cause], count)
-    # The recorder never calls a message late.
-    for (key, cause), count in sorted(most.items(), key=lambda one: one[0][1] == "late"):
-        same = min(named[key], count)
-        named[key] -= same
-        counts[key, cause] += count - same
-    return tuple(
+def _wrong_messages(plan: RunPlan, recorded: Recorded) -> tuple[WrongMessages, ...]:
+    """Return the wrong messages that the recorder names, the most frequent first."""
+    publishers = {plan.wiring.key(port): port.publisher for port in plan.wiring.ports}
+    wrong = [
         WrongMessages(
-            key,
-            cause,
-            count,
-            examples.get((key, cause), "dropped by an agent"),
-            publishers.get(key, ""),
+            one.key.removeprefix(f"{plan.plant}/"),
+            one.cause,
+            one.count,
+            one.example,
+            publishers.get(one.key, ""),
         )
-        for (key, cause), count in (+counts).most_common()
-    )
+        for one in recorded.complaints
+    ]
+    return tuple(sorted(wrong, key=lambda one: -one.count))

@@ -174,9 +174,9 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
         return any((*counts, *events, *(device.has_faults for device in self.devices)))
 
     def refused(self, account: ExternalAccount) -> int:
-        """Return how many messages of an external agent were refused, but for those too late."""
+        """Return how many messages of an external agent were wrong, copies left out."""
         wrong = (one for one in self.wrong if one.publisher == account.agent)
-        return sum(one.count for one in wrong if one.cause not in {"late", "duplicate"})
+        return sum(one.count for one in wrong if one.cause != "duplicate")
 
     def failures(self) -> Iterator[str]:
         """Yield in a line each why the run cannot be relied on; nothing if it can."""
