@@ -1,4 +1,4 @@
-"""What the faults of a run do to each message, and how often.
+"""What the faults of a run do to each message.
 
 A hash of seed, rule, link and cycle alone decides it, so a message has the same fate over
 processes, in memory, and when the run is repeated.
@@ -7,7 +7,6 @@ processes, in memory, and when the run is repeated.
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from collections.abc import Mapping
 from hashlib import blake2b
 from math import cos, log, pi, sqrt
@@ -30,13 +29,11 @@ class NetworkFaults:
 
     faults: By their numbers among all faults of the run, on which the draws depend.
     cycle_ns: Length of a cycle in simulated time [ns].
-    tally: How many messages were lost (no copy arrived), duplicated and delayed so far.
     """
 
     def __init__(
         self, faults: Mapping[int, LinkFault], seed: int, tree: ControlTree, cycle_ns: int
     ) -> None:
-        self.tally: Counter[str] = Counter()
         self._cycle_s = cycle_ns / 1e9
         self._faults_on: dict[tuple[Port[Message], str], list[_FaultOnLink]] = {}
         for port, listener in links(tree) if faults else ():
@@ -64,9 +61,6 @@ class NetworkFaults:
             at = each.fault.at
             if at is None or at[0] <= time_s < at[1]:
                 delays_ms = each.pass_on(cycle, delays_ms)
-        self.tally["lost"] += not delays_ms
-        self.tally["duplicated"] += len(delays_ms) > 1
-        self.tally["delayed"] += any(delays_ms)
         return tuple(round(delay_ms * 1e6) for delay_ms in delays_ms)
 
 

@@ -11,7 +11,6 @@ import msgspec
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
-from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import PRODUCTION, SIGNALS, Port, Signal
 from bus_schemas.tree import RECORDER, ROOT
 from recordings.inspect.agent_states import AgentSpan, AgentStates
@@ -56,10 +55,9 @@ class Misses(msgspec.Struct, frozen=True):
 class Overview(msgspec.Struct, frozen=True, kw_only=True):
     """What a recording holds, and how the run fared.
 
-    `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
-    sequence numbers leave out, by port, most first. `misses` are by agent, most first. The run
-    ended before the `stop_cycle`; None: that is not recorded. `states`: when agents were absent,
-    cut off or given up.
+    `lost` counts messages that the sequence numbers leave out, by port, most first. `misses` are by
+    agent, most first. The run ended before the `stop_cycle`; None: that is not recorded. `states`:
+    when agents were absent, cut off or given up.
     """
 
     path: str
@@ -71,7 +69,6 @@ class Overview(msgspec.Struct, frozen=True, kw_only=True):
     planned_cycles: int
     wall_s: float
     signals: tuple[SignalCount, ...]
-    faults: dict[str, int] = {}
     lost: dict[str, int] = {}
     misses: tuple[Misses, ...] = ()
     states: tuple[AgentSpan, ...] = ()
@@ -118,21 +115,15 @@ def read_through(
     run_cycles: How many cycles the run had, if that is known from elsewhere.
     """
     plan = run.plan
-    states, links = AgentStates(plan), plan.network_faults()
-    heard = listener.ports if listener else frozenset[Port[Message]]()
-    touched = {port for port in plan.wiring.ports if plan.faults.rules and port.signal.is_cyclic}
-    decoded = touched | set(heard)
+    states = AgentStates(plan)
+    heard = listener.ports if listener else ()
     first_ns = last_ns = 0
     for record in run.records():
-        port = record.port
         states.see(record)
         last_ns = record.log_time_ns
         first_ns = first_ns or last_ns
-        if port in decoded and (message := run.decoded(record)):
-            if port in touched:
-                _see_faults(plan, links, port, message)
-            if listener is not None and port in heard:
-                listener.see(port, message)
+        if listener and record.port in heard and (message := run.decoded(record)):
+            listener.see(record.port, message)
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = states.end_cycle(run.stop_cycle)
     cycles = max(run.last_cycle + 1, run.stop_cycle or 0)
@@ -158,7 +149,6 @@ def read_through(
         signals=tuple(
             _count(signal, gaps, cycles, end, wall_s) for signal in SIGNALS if signal in sent
         ),
-        faults=dict(+links.tally),
         lost=dict(lost.most_common()),
         misses=_misses(plan, states),
         states=tuple(spans[:_MOST_STATES]),
@@ -181,16 +171,6 @@ def _misses(plan: RunPlan, states: AgentStates) -> tuple[Misses, ...]:
         for agent, at in missed.cycles.items()
     ]
     return tuple(sorted(misses, key=lambda one: (-one.inputs, one.agent)))
-
-
-def _see_faults(plan: RunPlan, links: NetworkFaults, port: Port[Message], message: Message) -> None:
-    """Work out again what became of a message on its way to each listener that is not external.
-
-    It follows from link and cycle.
-    """
-    for listener in plan.wiring.listeners[port]:
-        if listener not in plan.access.external:
-            links.fates(port, listener, message)
 
 
 def _count(

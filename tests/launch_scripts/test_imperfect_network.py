@@ -74,5 +74,5 @@ def test_a_silence_is_in_simulated_time_at_any_pace_and_a_rule_without_messages_
     words = ("--duration", "5", "--pace", "5", "--json", tmp_path / "s.json", *faults)
     output = " ".join(done("simulate", "oahu", *words, "--out", tmp_path / "run").split())
     summary = json.loads((tmp_path / "s.json").read_text())
-    assert summary["recording"]["faults"] == {"lost": 2 * (17 + 3)}
+    assert summary["missing_inputs"] == 2 * (17 + 3)
     assert "never acted" in output

@@ -232,8 +232,6 @@ def test_a_run_over_a_bad_network_with_a_supervisor_that_stood_still_verifies_eq
     # The plant ticks through all cycles, and says of each what it delivered.
     production = next(count for count in summary.messages if count.signal == "production")
     assert (production.published, summary.cycles) == (20, production.recorded)
-    assert summary.recording is not None
-    assert set(summary.recording.faults) == {"lost", "duplicated", "delayed"}
     assert summary.missing_inputs > 0
     with RunReader(run.folder) as reader:
         reports = [message.cycle for _, message in reader.messages(IMPP, nodes="c1")]
