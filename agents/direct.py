@@ -64,9 +64,11 @@ class LeafController:
 class DirectController(LeafController):
     """Estimates its inverter's maximum power, states its deficit, turns a setpoint into alpha."""
 
-    def __init__(self, node: str, rating_kw: float, control: Control, cycle_s: float) -> None:
+    def __init__(
+        self, node: str, rating_kw: float, sharing_kw: float, control: Control, cycle_s: float
+    ) -> None:
         super().__init__(node, control)
-        self._rating_kw = rating_kw
+        self._rating_kw, self._sharing_kw = rating_kw, sharing_kw
         self._cycle_s = cycle_s
 
     def initial_state(self) -> DirectState:
@@ -85,7 +87,7 @@ class DirectController(LeafController):
         if telemetry is not None and telemetry.cycle > state.telemetry_cycle + 1:
             last = last._replace(is_seen=False)  # After a gap its change tells no trend.
         estimate = self._estimate_now(telemetry, last)
-        share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw)
+        share_kw = own_share_kw(turn.get(self._dispatch), self._sharing_kw)
         impp_kw = estimate.power_kw
         # Where the dispatch has expired too, it is the plant that is not heard.
         if share_kw is not None and is_lost(estimate, self._control.hold_cycles):
@@ -118,7 +120,7 @@ class DirectController(LeafController):
         if state.telemetry_cycle == NEVER:
             return []
         setpoint = turn.get(self._setpoint)
-        share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw)
+        share_kw = own_share_kw(turn.get(self._dispatch), self._sharing_kw)
         lost = share_kw is not None and is_lost(state.estimate, self._control.hold_cycles)
         target_kw = share_kw if setpoint is None or lost else setpoint.power_kw
         if target_kw is None:

@@ -11,26 +11,18 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isnan, nan, sqrt
+from math import isnan, nan
 from operator import itemgetter
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
-from agents.control.correction import (
-    Correction,
-    CorrectionLaw,
-    corrected,
-    corrected_kw,
-    nothing_metered,
-    with_reading,
-)
-from agents.control.grid import GridLaw, desired_kw, net_kw, ramped_kw, response_kw
+from agents.control.fleet import feedable_ability, feedable_kw
+from agents.control.grid import desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.offers import (
     OfferSettings,
     known_intervals,
@@ -51,12 +43,12 @@ from agents.control.storage import (
     storage_kw,
 )
 from agents.dispatch import own_report, own_share_kw
+from agents.feedback import Feedback, MeterState
 from agents.plan_parts import Control
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     HelpGiven,
     Impp,
-    Memory,
     Message,
     Meter,
     Notice,
@@ -93,6 +85,7 @@ class Report(NamedTuple):
 class _Child:
     path: str
     rating_kw: float
+    sharing_kw: float
     impp: Port[Impp]
     residual: Port[Residual]
     setpoint: Port[Setpoint]
@@ -106,13 +99,20 @@ class Parent:
     def __init__(self, node: str, tree: ControlTree, control: Control) -> None:
         self.name = agent_name(node)
         below = tuple(
-            _Child(path, tree.rating_kw(path), IMPP.of(path), RESIDUAL.of(path), SETPOINT.of(path))
+            _Child(
+                path,
+                tree.rating_kw(path),
+                tree.sharing_kw(path),
+                IMPP.of(path),
+                RESIDUAL.of(path),
+                SETPOINT.of(path),
+            )
             for path in tree.children(node)
         )
         self._children = tuple(child for child in below if not tree.is_storage(child.path))
         self._stores = tuple(child for child in below if tree.storage_kw(child.path))
         self._ratings_kw = tuple(child.rating_kw for child in self._children)
-        self._rating_kw = tree.rating_kw(node)
+        self._sharing_kw = tree.sharing_kw(node)
         self._node = node
         self._inputs: tuple[Port[Message], ...] = (
             *(port for child in below for port in (child.impp, child.residual)),
@@ -136,9 +136,9 @@ class Parent:
         reports = []
         for child in self._children:
             impp, residual = turn.get(child.impp), turn.get(child.residual)
-            share_kw = own_share_kw(dispatch, child.rating_kw)
+            share_kw = own_share_kw(dispatch, child.sharing_kw)
             if share_kw is None:
-                share_kw = target_kw * (child.rating_kw / self._rating_kw)
+                share_kw = target_kw * (child.sharing_kw / self._sharing_kw)
             if impp is None:
                 expired = self._control.hold_cycles + 1
                 reports.append(Report(share_kw, 0.0, expired, is_expired=True))
@@ -226,15 +226,19 @@ def _parts_kw(power_kw: float, abilities: Sequence[Ability]) -> list[float]:
 class Supervisor(Parent):
     """Balances need and headroom within its cluster, and asks its parent for the rest."""
 
-    def __init__(self, node: str, tree: ControlTree, control: Control) -> None:
+    def __init__(
+        self, node: str, tree: ControlTree, control: Control, feedback: Feedback | None = None
+    ) -> None:
         super().__init__(node, tree, control)
+        self._feedback, self._meter = feedback, METER.of(node)
         self._setpoint = SETPOINT.of(node)
-        report = Stage("report", self._inputs)
-        self._with_parent = (report, Stage("solve", (self._setpoint,), self._inputs))
-        self._alone = (report, Stage("solve", (), (self._setpoint, *self._inputs)))
+        report = Stage("report", (*self._inputs, *((self._meter,) if feedback else ())))
+        self._with_parent = (report, Stage("solve", (self._setpoint,), report.awaits))
+        self._alone = (report, Stage("solve", (), (self._setpoint, *report.awaits)))
 
-    def initial_state(self) -> None:
-        """Return nothing: the newest messages are all it needs."""
+    def initial_state(self) -> MeterState | None:
+        """Return nothing without a meter: the newest messages are all that is needed."""
+        return MeterState(self._feedback.nothing_metered()) if self._feedback else None
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the newest setpoint holds."""
@@ -243,21 +247,61 @@ class Supervisor(Parent):
         parent_acts = self._control.periods.is_turn(parent_of(self.name), cycle)
         return self._with_parent if parent_acts else self._alone
 
-    def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
+    def step(
+        self, state: MeterState | None, turn: Turn
+    ) -> tuple[MeterState | None, list[Delivery]]:
         if turn.stage == "report":
-            return None, self.report_up(turn, self.reports(turn))
+            if self._feedback is None or state is None:
+                return None, self.report_up(turn, self.reports(turn))
+            return self._report_metered(state, turn, self._feedback)
         setpoint = turn.get(self._setpoint)
-        share_kw = own_share_kw(turn.get(_DISPATCH), self._rating_kw)
+        share_kw = own_share_kw(turn.get(_DISPATCH), self._sharing_kw)
         target_kw = share_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
-            return None, []
+            return state, []
         reports = self.reports(turn, target_kw)
+        if self._feedback is not None and state is not None:
+            state, target_kw = self._metered_kw(state, turn, self._feedback, target_kw, reports)
         if not self._stores:
-            return None, self.setpoints(turn, target_kw, reports)
+            return state, self.setpoints(turn, target_kw, reports)
         of_stores = self._of_stores(turn, setpoint, target_kw, reports)
-        return None, self.setpoints(
+        return state, self.setpoints(
             turn, max(target_kw - total(of_stores), 0.0), reports, of_stores
         )
+
+    def _report_metered(
+        self, state: MeterState, turn: Turn, feedback: Feedback
+    ) -> tuple[MeterState, list[Delivery]]:
+        """Read the meter, and report what the plant may feed in there."""
+        meter, reports = turn.get(self._meter), self.reports(turn)
+        state = feedback.read(feedback.recalled(state, meter), meter)
+        impp_kw = total([report.impp_kw for report in reports])
+        share_kw = own_share_kw(turn.get(_DISPATCH), self._sharing_kw)
+        power_kw = feedable_kw(impp_kw, feedback.grid)
+        able = None
+        if self._stores:
+            able = feedable_ability(impp_kw, together(self.abilities(turn)), feedback.grid)
+        stale_cycles = max(report.stale_cycles for report in reports)
+        left_kw = power_kw - (share_kw or 0.0)
+        outputs = own_report(self._node, turn, power_kw, stale_cycles, left_kw, able)
+        return state, [*outputs, (MEMORY.of(self._node), feedback.memory(state, turn))]
+
+    def _metered_kw(
+        self,
+        state: MeterState,
+        turn: Turn,
+        feedback: Feedback,
+        asked_kw: float,
+        reports: list[Report],
+    ) -> tuple[MeterState, float]:
+        """Return what the plant's inverters and storages are to give for a power at its meter."""
+        reference_kw = ramped_kw(state.reference_kw, asked_kw, feedback.grid)
+        able_kw = together(self.abilities(turn)).discharge_kw if self._stores else 0.0
+        possible_kw = net_kw(total([one.impp_kw for one in reports]) + able_kw, feedback.grid)
+        wanted_kw = desired_kw(reference_kw, 0.0, possible_kw, feedback.grid)
+        late = min(one.stale_cycles for one in reports) + turn.cycle - state.meter_cycle
+        state = replace(state, reference_kw=reference_kw)
+        return feedback.target_kw(state, wanted_kw, possible_kw, late)
 
     def _of_stores(
         self, turn: Turn, setpoint: Setpoint | None, target_kw: float, reports: list[Report]
@@ -272,22 +316,16 @@ class Supervisor(Parent):
         return _parts_kw(wanted_kw, abilities)
 
 
-class CentralState(msgspec.Struct, frozen=True, gc=False):
-    """What the central controller remembers.
+class CentralState(MeterState, frozen=True, gc=False):
+    """What the central controller remembers besides.
 
-    correction: What it has learned of the plant's meter.
-    meter_cycle: Cycle of the newest reading of the meter.
     clamped: How many dispatches were beyond what the plant can give.
     offers: What its offers rest on, see `agents.control.offers`.
-    reference_kw: The dispatch within the ramp limits; NaN: there was none yet.
     course: What the inverters were asked for, in a plant with storages.
     """
 
-    correction: Correction
-    meter_cycle: int = 0
     clamped: int = 0
     offers: tuple[float, ...] = ()
-    reference_kw: float = nan
     course: Course = Course((), nan)
 
 
@@ -298,21 +336,19 @@ class CentralController(Parent):
         self,
         tree: ControlTree,
         control: Control,
-        correction: CorrectionLaw,
-        grid: GridLaw,
+        feedback: Feedback,
         offers: OfferSettings | None = None,
         pursuit: Pursuit = AT_ONCE,
     ) -> None:
         super().__init__(ROOT, tree, control)
         self._pursuit = pursuit
-        self._correction = correction
+        self._feedback, self._grid = feedback, feedback.grid
         self._offers = offers
-        self._grid = grid
         self._meter = METER.of(ROOT)
         self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
     def initial_state(self) -> CentralState:
-        first = nothing_metered(self._correction)
+        first = self._feedback.nothing_metered()
         course = Course((nan,) * (self._pursuit.delay + 1), nan)
         if self._offers is None:
             return CentralState(first, course=course)
@@ -330,17 +366,13 @@ class CentralController(Parent):
         state, offered = self._offer(state, turn, possible_kw)
         able = together(self.abilities(turn)) if self._stores else NO_ABILITY
         possible_kw = net_kw(impp_kw + able.discharge_kw, self._grid)
-        state = self._read_meter(state, turn.get(self._meter))
+        state = self._feedback.read(state, turn.get(self._meter))
         state, notices = self._follow_dispatch(state, turn)
         outputs = [*self.report_up(turn, reports), *offered, *notices]
         if turn.get(_DISPATCH) is not None and self._control.periods.is_turn(ROOT, turn.cycle):
-            # The setpoints' way down is assumed to take as long as the reports' way up.
-            delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
+            late = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
             wanted_kw = self._wanted_kw(state, turn, possible_kw)
-            delay_s, law = delay * self._correction.cycle_s, self._correction
-            correction = corrected(state.correction, wanted_kw, possible_kw, delay_s, law)
-            target_kw = corrected_kw(correction, law, self._grid)
-            state = replace(state, correction=correction)
+            state, target_kw = self._feedback.target_kw(state, wanted_kw, possible_kw, late)
             if self._stores:
                 state, found = self._with_stores(state, turn, target_kw, impp_kw, reports)
                 outputs += found
@@ -370,20 +402,7 @@ class CentralController(Parent):
         """Go on, in a new process, from what the one before it stated last."""
         if meter is None:
             return state
-        if meter.correction_kw is not None and state.meter_cycle == 0:
-            kept = len(state.correction.shown_kw)
-            shown_kw = (*(nan if kw is None else kw for kw in meter.expected_kw), *((nan,) * kept))
-            tried_kw2 = (meter.tried_kw or 0.0) ** 2
-            correction = state.correction._replace(
-                shown_kw=shown_kw[:kept],
-                lacking_kw=meter.lacking_kw or 0.0,
-                correction_kw=meter.correction_kw,
-                helped_kw2=(meter.helped_share or 0.0) * tried_kw2,
-                tried_kw2=tried_kw2,
-                error_kw=meter.error_kw or 0.0,
-            )
-            reference_kw = nan if meter.reference_kw is None else meter.reference_kw
-            state = replace(state, correction=correction, reference_kw=reference_kw)
+        state = self._feedback.recalled(state, meter)
         record, own = meter.record, state.offers
         is_record = record is not None and len(record) == len(own) > 0
         if record is not None and is_record and known_intervals(own) < known_intervals(record):
@@ -391,17 +410,7 @@ class CentralController(Parent):
         return state
 
     def _memory(self, state: CentralState, turn: Turn, *, has_offered: bool) -> Delivery:
-        known = state.correction
-        memory = Memory(
-            *turn.stamp,
-            correction_kw=known.correction_kw,
-            error_kw=known.error_kw,
-            expected_kw=tuple(None if isnan(kw) else kw for kw in known.shown_kw),
-            reference_kw=None if isnan(state.reference_kw) else state.reference_kw,
-            lacking_kw=known.lacking_kw,
-            tried_kw=sqrt(known.tried_kw2),
-            helped_share=known.helped_kw2 / known.tried_kw2 if known.tried_kw2 > 0.0 else 0.0,
-        )
+        memory = self._feedback.memory(state, turn)
         if self._offers is not None:
             memory.intervals = known_intervals(state.offers)
             memory.record = state.offers if has_offered and turn.cycle >= 0 else None
@@ -434,13 +443,6 @@ class CentralController(Parent):
             )
             state = replace(state, offers=tuple(values.tolist()))
         return state, [] if isnan(share) else [(OFFER.of(ROOT), Offer(*turn.stamp, share=share))]
-
-    def _read_meter(self, state: CentralState, meter: Meter | None) -> CentralState:
-        """Take up the meter's newest reading, each reading once."""
-        if meter is None or meter.cycle <= state.meter_cycle:
-            return state
-        correction = with_reading(state.correction, meter.power_kw)
-        return replace(state, meter_cycle=meter.cycle, correction=correction)
 
     def _follow_dispatch(
         self, state: CentralState, turn: Turn

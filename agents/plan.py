@@ -17,7 +17,7 @@ from agents.control.storage import Pursuit, StorageLaw
 from agents.cycle import Deadlines
 from agents.faults import ProcessFault
 from agents.plan_parts import Access, Control, Faults, PlannedOrder, Site, Supervision, Timing
-from agents.settings import GridSettings, Revert, StorageSettings
+from agents.settings import FleetPlant, GridSettings, Revert, StorageSettings
 from bus_schemas.faults import LinkFault
 from bus_schemas.messages import PROTOCOL, Run
 from bus_schemas.network_faults import NetworkFaults
@@ -27,6 +27,7 @@ from bus_schemas.tree import (
     ControlTree,
     agent_name,
     ancestors,
+    depth,
 )
 from bus_schemas.wiring import Links, Wiring
 
@@ -38,6 +39,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     storages: The storages beside them.
     grid: What the grid asks of the plant; by default nothing.
     orders: Orders of the scenario, in the order of time.
+    plants: The plants of a fleet, each with a meter of its own.
     """
 
     protocol: int = PROTOCOL
@@ -53,11 +55,14 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     grid: GridSettings = GridSettings()
     orders: tuple[PlannedOrder, ...] = ()
     storages: tuple[StorageSettings, ...] = ()
+    plants: tuple[FleetPlant, ...] = ()
 
     @cached_property
     def tree(self) -> ControlTree:
         return ControlTree(
-            self.inverters, tuple((one.path, one.rating_kw) for one in self.storages)
+            self.inverters,
+            tuple((one.path, one.rating_kw) for one in self.storages),
+            tuple((one.name, one.export_limit_kw) for one in self.plants),
         )
 
     @cached_property
@@ -80,26 +85,44 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return Pursuit(ceil(round(law.delay_s / law.turn_s, 6)), ramp_kw)
 
     @cached_property
+    def grid_laws(self) -> dict[str, GridLaw]:
+        """What is asked at each meter: that of all, and those of the plants of a fleet."""
+        tree, cycle_s = self.tree, self.timing.cycle_s
+        found = {ROOT: self.grid.law(tree.rating_kw(ROOT), cycle_s)}
+        for one in self.plants:
+            law = one.grid.law(tree.inverters_kw(one.name), cycle_s)
+            limits_kw = -tree.storage_kw(one.name), tree.rating_kw(one.name)
+            found[one.name] = law._replace(pmin_kw=limits_kw[0], pmax_kw=limits_kw[1])
+        return found
+
+    @property
     def grid_law(self) -> GridLaw:
-        return self.grid.law(self.tree.rating_kw(ROOT), self.timing.cycle_s)
+        return self.grid_laws[ROOT]
 
     @cached_property
     def correction_law(self) -> CorrectionLaw:
-        """How the target is corrected. Real inverters are read a cycle later, on unknown ramps."""
+        return self.correction_law_of(ROOT)
+
+    def correction_law_of(self, node: str) -> CorrectionLaw:
+        """How a target is corrected. Real inverters are read a cycle later, on unknown ramps."""
         site, control, cycle_s = self.site, self.control, self.timing.cycle_s
-        settings = [site.settings_of(leaf) for leaf in self.tree.leaves]
-        is_real = bool(site.meter or dict(site.devices).keys() & set(self.tree.leaves))
+        leaves = [self.tree.leaves[at] for at in self.tree.leaves_below(node)]
+        settings = [site.settings_of(leaf) for leaf in leaves]
+        is_real = bool(site.meter or dict(site.devices).keys() & set(leaves))
         delay_s = max(one.delay_s or 0.0 for one in settings) + (cycle_s if is_real else 0.0)
-        turn_s = cycle_s * control.periods.cycles[0]
+        turn_s = cycle_s * control.periods.cycles[depth(node)]
+        is_ramped = any(one.grid.moves_target for one in self.plants)
         return CorrectionLaw(
             is_on=control.correction,
-            rating_kw=self.tree.rating_kw(ROOT),
+            rating_kw=self.tree.inverters_kw(node),
             cycle_s=cycle_s,
             turn_s=turn_s,
             delay_s=delay_s,
-            is_ramped=is_real or any(one.ramp_percent_per_s is not None for one in settings),
-            offset_kw=control.offset_kw,
-            offset_errors=control.offset_errors,
+            is_ramped=is_real
+            or is_ramped
+            or any(one.ramp_percent_per_s is not None for one in settings),
+            offset_kw=0.0 if node else control.offset_kw,
+            offset_errors=0.0 if node else control.offset_errors,
             kept_turns=shown_turns(delay_s + 2 * control.hold_cycles * cycle_s, turn_s),
         )
 

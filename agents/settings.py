@@ -280,3 +280,15 @@ class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             loss_kw=self.loss_constant_percent / 100.0 * rating_kw,
             loss_per_kw=self.loss_quadratic_percent / 100.0 / rating_kw,
         )
+
+
+class FleetPlant(msgspec.Struct, frozen=True, kw_only=True):
+    """A plant of a fleet: a node of the first tier, with a meter of its own.
+
+    export_limit_kw: Most that it may feed in [kW].
+    grid: Its ramp limits, its losses and the error of its meter.
+    """
+
+    name: str
+    export_limit_kw: float
+    grid: GridSettings = GridSettings()

@@ -119,7 +119,10 @@ def bounds_at(message_type: type[Message], tree: ControlTree, node: str) -> tupl
     """Return the bounds of messages about a node of a tree."""
     storage_kw = tree.storage_kw(node)
     above_kw = 0.0 if tree.is_storage(node) else storage_kw
-    return bounds_of(message_type, tree.rating_kw(node), storage_kw, above_kw)
+    # A plant of a fleet can give more than it may feed in.
+    is_metered = message_type in {Meter, Memory}
+    rating_kw = tree.inverters_kw(node) if is_metered else tree.rating_kw(node)
+    return bounds_of(message_type, rating_kw, storage_kw, above_kw)
 
 
 def bounds_of(

@@ -41,6 +41,7 @@ class About(Enum):
     CHILDREN = "each node but the root"
     NODES = "each node"
     PLANT = "the plant as a whole"
+    METERS = "the plant as a whole, and each plant of a fleet"
 
 
 class Role(Enum):
@@ -124,6 +125,8 @@ class Signal(Generic[M_co]):
                 return tree.nodes
             case About.PLANT:
                 return (ROOT,)
+            case About.METERS:
+                return tree.meters
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +147,7 @@ class Port(Generic[M_co]):
 # fmt: off
 TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.DEVICES,  Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE, hop_p99_ms=10.0)
 DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CONTROLLERS, Role.OPERATOR), Occurrence.CYCLE)
-METER: Final      = Signal("meter",      messages.Meter,      About.PLANT,    Role.PLANT,    (Role.CENTRAL, Role.OPERATOR), Occurrence.CYCLE)
+METER: Final      = Signal("meter",      messages.Meter,      About.METERS,   Role.PLANT,    (Role.NODE, Role.OPERATOR), Occurrence.CYCLE)
 IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
 RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
 HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (),              Occurrence.NEED)
@@ -158,7 +161,7 @@ CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Ro
 GIVEN_UP: Final   = Signal("given_up",   messages.GivenUp,    About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
 ORDER: Final      = Signal("order",      messages.Order,      About.PLANT,    Role.OPERATOR, (Role.PLANT,),   Occurrence.EVENT, decided=False)
 OFFER: Final      = Signal("offer",      messages.Offer,      About.PLANT,    Role.CENTRAL,  (Role.PLANT,),   Occurrence.NEED)
-MEMORY: Final     = Signal("memory",     messages.Memory,     About.PLANT,    Role.CENTRAL,  (Role.PLANT,),   Occurrence.CYCLE)
+MEMORY: Final     = Signal("memory",     messages.Memory,     About.METERS,   Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE)
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
     TELEMETRY, DISPATCH, METER, IMPP, RESIDUAL, HELP, SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN,

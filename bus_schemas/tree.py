@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, takewhile
+from itertools import chain, pairwise, takewhile
 from math import fsum
 from typing import Final
 
@@ -43,13 +43,16 @@ class ControlTree:
 
     inverters: Path and AC rating [kW] of each inverter, in the plant's order.
     storages: The same of each storage.
+    plants: Of a fleet, the name and the export limit [kW] of each plant: a node of the first tier,
+        which is rated by what it may feed in.
     """
 
     inverters: tuple[tuple[str, float], ...]
     storages: tuple[tuple[str, float], ...] = ()
+    plants: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for objection in self._objections():
+        for objection in chain(self._objections(), self._fleet_objections()):
             raise InputError(f"control tree: {objection}")
 
     def _objections(self) -> Iterator[str]:
@@ -75,6 +78,16 @@ class ControlTree:
                 expected = f"up to {MOST_CHILDREN:,} children, or a tier between"
                 yield f"{agent_name(path)}: expected {expected}, got {len(children):,}"
 
+    def _fleet_objections(self) -> Iterator[str]:
+        for name, limit_kw in self.plants:
+            if self.is_leaf(name):
+                yield f"{name}: expected a plant with inverters, got none"
+            if not 0.0 < limit_kw <= LARGEST_RATING_KW:
+                yield f"{name}: export_limit_kw: expected above 0, got {limit_kw:g}"
+        outside = [one for one in self.leaves if one.partition("/")[0] not in dict(self.plants)]
+        if self.plants and outside:
+            yield f"{outside[0]}: expected each inverter of a fleet in a plant"
+
     @cached_property
     def _children_of(self) -> dict[str, tuple[str, ...]]:
         children: dict[str, dict[str, None]] = {ROOT: {}}
@@ -85,11 +98,20 @@ class ControlTree:
 
     @cached_property
     def _ratings_kw(self) -> dict[str, float]:
-        of_parents = {
-            path: fsum(self.inverters[index][1] for index in below)
-            for path, below in self._leaves_below.items()
-        }
+        of_parents = {path: self.inverters_kw(path) for path in self._leaves_below}
+        if self.plants:
+            limits = {name: min(limit, of_parents[name]) for name, limit in self.plants}
+            of_parents |= limits | {ROOT: fsum(limits.values())}
         return of_parents | dict(self.storages)
+
+    def inverters_kw(self, path: str) -> float:
+        """Sum of the ratings of the inverters at or below a node."""
+        return fsum(self.inverters[index][1] for index in self.leaves_below(path))
+
+    @property
+    def meters(self) -> tuple[str, ...]:
+        """Nodes that have a meter: the root, and each plant of a fleet."""
+        return (ROOT, *(name for name, _ in self.plants))
 
     @cached_property
     def leaves(self) -> tuple[str, ...]:
@@ -128,12 +150,22 @@ class ControlTree:
         return path in self.storage_paths
 
     def rating_kw(self, path: str) -> float:
-        """Rating of a device, or of the inverters below a parent."""
+        """Rating of a device; of a parent, that of the inverters below it.
+
+        That of a fleet's plant is not above its export limit, and the fleet's is their sum.
+        """
         return self._ratings_kw[path]
 
     def sharing_kw(self, path: str) -> float:
-        """Rating by which a node shares the dispatch: 0 of a storage."""
-        return 0.0 if self.is_storage(path) else self.rating_kw(path)
+        """Rating by which a node shares the dispatch: 0 of a storage.
+
+        In a fleet, so that the shares of a plant's inverters are what it may feed in at most.
+        """
+        if self.is_storage(path):
+            return 0.0
+        plant, slash, _ = path.partition("/")
+        part = self.rating_kw(plant) / self.inverters_kw(plant) if self.plants and slash else 1.0
+        return self.rating_kw(path) * part
 
     def storage_kw(self, path: str) -> float:
         """Rating of the storages at or below a node."""

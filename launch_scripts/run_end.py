@@ -22,6 +22,7 @@ from recordings.verify.verification import verify
 from results.answers import answers, judged
 from results.figures import run_figures
 from results.highlights import highlights
+from results.plants import plant_figures
 from results.run_document import (
     ExternalAccount,
     MessageCount,
@@ -84,6 +85,7 @@ def ended(
         recording_ended=recorded.ended_early or fault,
         wrong=_wrong_messages(plan, recorded),
         figures=run_figures(series) if series else None,
+        plants=tuple(plant_figures(series)) if series else (),
         messages=_messages(
             plan, recorded, external, published, {} if is_complete else gaps, _by_signal(gaps)
         ),

@@ -17,6 +17,7 @@ from recordings.read.run_file import FAILURE_NAME, SUMMARY_NAME
 from results.answers import Answer
 from results.figures import Figures
 from results.highlights import Highlights
+from results.plants import PlantFigures
 from sunspec.process import DeviceAccount
 
 End: TypeAlias = Literal["failed", "interrupted", "unfinished", "over"]
@@ -103,6 +104,7 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
     given_up: Processes that were not started again, and since which cycle.
     recording_ended: Why the recording does not hold the run as a whole.
     figures, highlights: None if no cycle can be read in the recording.
+    plants: Those of a fleet.
     messages: Those of Heliarch's processes.
     external: What was heard of external agents.
     recording: What the recording holds; None if it could not be read.
@@ -129,6 +131,7 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
     recording_ended: str = ""
     wrong: tuple[WrongMessages, ...] = ()
     figures: Figures | None = None
+    plants: tuple[PlantFigures, ...] = ()
     messages: tuple[MessageCount, ...] = ()
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()

@@ -14,6 +14,7 @@ from recordings.read.reader import RunReader
 from results.answers import answers_tables
 from results.figures import FIGURES, Figures, Shown, shown_in
 from results.health_lines import counts_text
+from results.plants import plants_tables
 from results.report.tables import devices_tables, health_table
 from results.run_document import Outcome, RunDocument
 from results.tables import Cell, Column, Number, Table, key_column, print_table, word_column
@@ -27,7 +28,11 @@ _GAP: Final = ("", "", "", "")
 
 def print_summary(summary: RunDocument, console: Console) -> None:
     """Print the table; then the health of a run with faults, or in which something went wrong."""
-    tables = summary_table(summary), *answers_tables(summary.answers)
+    tables = (
+        summary_table(summary),
+        *plants_tables(summary.plants),
+        *answers_tables(summary.answers),
+    )
     for table in (*tables, *devices_tables(summary.devices)):
         print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.folder)) as run:

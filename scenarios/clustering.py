@@ -15,7 +15,7 @@ from agents.control.correlation import HourlyMatrices, group_correlation
 from agents.plan_parts import Neighbourhood, NodeNeighbourhoods
 from agents.settings import StorageSettings
 from bus_schemas.errors import InputError, not_one_of
-from bus_schemas.tree import ControlTree, check_name
+from bus_schemas.tree import ROOT, ControlTree, check_name
 from scenarios.scenario import ControlTable
 from sim_plant.sites import Sites, east_north_m
 
@@ -86,6 +86,20 @@ def neighbourhoods(
             hours.append(Neighbourhood(time_ns, tuple(map(tuple, rows))))
         found.append(NodeNeighbourhoods(parent, tuple(hours)))
     return tuple(found)
+
+
+def between(history_kw: Sequence[dict[int, NDArray[np.float64]]]) -> NodeNeighbourhoods:
+    """Return the correlation between the plants of a fleet, hour by hour.
+
+    None of an hour in which their pasts have different steps, or other beginnings.
+    """
+    hours, single = [], [(place,) for place in range(len(history_kw))]
+    for time_ns in sorted(set[int]().union(*history_kw)):
+        columns = [one[time_ns] for one in history_kw if time_ns in one]
+        if len(columns) == len(history_kw) and len({*map(len, columns)}) == 1:
+            rows = group_correlation(np.column_stack(columns), single).tolist()
+            hours.append(Neighbourhood(time_ns, tuple(map(tuple, rows))))
+    return NodeNeighbourhoods(ROOT, tuple(hours))
 
 
 def _sizes(given: Sequence[int] | int, tier: int, members: int) -> Sequence[int]:

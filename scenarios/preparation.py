@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime, time, timedelta
@@ -18,11 +18,25 @@ from agents.control.correlation import HourlyMatrices, hourly_deviations
 from agents.device_profile import PLAIN
 from agents.plan import RunPlan
 from agents.plan_file import check_plan, check_size
-from agents.plan_parts import Access, Control, Faults, Site, Supervision, Timing
-from agents.settings import OfferedCommitment, Revert
+from agents.plan_parts import (
+    Access,
+    Control,
+    Faults,
+    NodeNeighbourhoods,
+    Site,
+    Supervision,
+    Timing,
+)
+from agents.settings import (
+    FleetPlant,
+    InverterSettings,
+    OfferedCommitment,
+    Revert,
+    StorageSettings,
+)
 from bus_schemas.errors import InputError
 from bus_schemas.tree import OPERATOR, ROOT, ControlTree
-from scenarios.clustering import control_tree, neighbourhoods, with_storages
+from scenarios.clustering import between, control_tree, neighbourhoods, with_storages
 from scenarios.elsewhere import (
     METER_NODE,
     addresses_of,
@@ -32,6 +46,7 @@ from scenarios.elsewhere import (
     real_devices,
 )
 from scenarios.fault_rules import fault_rules
+from scenarios.fleet import Member, members, named_plant
 from scenarios.power_sources import power_source
 from scenarios.real_time import cycle_wall_ns, machine_settings, parse_pace, process_groups
 from scenarios.run_options import RunOptions
@@ -42,7 +57,7 @@ from sim_plant.frequency import frequency_hz
 from sim_plant.irradiance import Irradiance
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
-from sim_plant.sites import east_north_m
+from sim_plant.sites import Sites, east_north_m
 from sim_plant.sources import PowerSource
 
 __all__ = ["Preparation", "RunOptions", "prepare"]
@@ -80,30 +95,31 @@ class Preparation:
 
 @dataclass(frozen=True, slots=True)
 class _Day:
-    """Power and commitment of a run, and its control tree.
+    """Power of a run, and its control tree.
 
-    Inverters are in the order of the source here; `order` brings them into that of the tree, since
-    clusters may have mixed them up.
+    Columns of `mpp_kw` and `meter_error`, and rows of `lat_lon_deg`, are inverters of the tree.
+    `history_kw` has, by the beginning of an hour of the run, the deviations of the power of all in
+    the past. `settings` are those of its inverters.
     """
 
     times: pd.DatetimeIndex
-    source: PowerSource
-    available_kw: NDArray[np.float64]
-    commitment_kw: NDArray[np.float64]
-    deviations: HourlyMatrices
     tree: ControlTree
-
-    @property
-    def order(self) -> list[int]:
-        """Place in the source of each inverter of the tree."""
-        place_of = {name: place for place, name in enumerate(self.source.sites.names)}
-        return [place_of[leaf.rpartition("/")[2]] for leaf in self.tree.leaves]
+    mpp_kw: NDArray[np.float64]
+    available_kw: NDArray[np.float64]
+    meter_error: NDArray[np.float64]
+    lat_lon_deg: NDArray[np.float64]
+    neighbourhoods: tuple[NodeNeighbourhoods, ...]
+    history_kw: dict[int, NDArray[np.float64]]
+    clear_sky_kw: Callable[[pd.DatetimeIndex], NDArray[np.float64]]
+    remarks: tuple[str, ...]
+    settings: tuple[InverterSettings, ...]
+    storages: tuple[StorageSettings, ...]
+    plants: tuple[FleetPlant, ...] = ()
 
     @property
     def positions_m(self) -> tuple[tuple[float, float], ...]:
-        """Metres east and north of the plant's middle of each inverter of the tree."""
-        sites = self.source.sites
-        both = np.column_stack(east_north_m(sites.lat_deg, sites.lon_deg))[self.order]
+        """Metres east and north of the middle of each inverter."""
+        both = np.column_stack(east_north_m(*self.lat_lon_deg.T))
         return tuple((float(east), float(north)) for east, north in (both - both.mean(0)).round(2))
 
 
@@ -137,18 +153,23 @@ def prepare(
         raise InputError.of("--priority", f"expected a --pace such as 1 with it, {why}")
     keys_folder, offer = _keys_folder(scenario, options), scenario.regulation
     with scenario_file.named():
-        own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
-        own_times, _ = _times(scenario_file, own, RunOptions())
-        source = power_source(scenario_file, options.seed, times, own_times, keeps=keeps, read=read)
-        day = _day(scenario_file, scenario, source, times, own_times)
+        day = _day(scenario_file, scenario, options.seed, times, keeps=keeps, read=read)
+        commitment = commitment_kw(
+            scenario.commitment,
+            times,
+            day.available_kw,
+            day.clear_sky_kw,
+            scenario_file.data_path,
+            scenario.time.timezone,
+        )
         regulation, regulation_notes = np.zeros(len(times)), tuple[str, ...]()
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation, regulation_notes = regulation_kw(offer, times, zone, data_path)
         frequency, frequency_notes = _frequency_hz(scenario_file, scenario, times)
     plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
-    remarks = [*remarks_on_time, *(f"warning: {one}" for one in _warnings(day))]
-    remarks += day.source.remarks + regulation_notes + frequency_notes
+    remarks = [*remarks_on_time, *_too_much(commitment, plan.tree), *day.remarks]
+    remarks += regulation_notes + frequency_notes
     hides_maximum = plan.control.actuator == "limit" and not plan.site.states_all
     if plan.grid_law.reserve_kw > 0.0 and hides_maximum:
         remarks.append(
@@ -163,14 +184,13 @@ def prepare(
         remarks.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
     if is_hindsight(scenario.commitment):
         remarks.append("The commitment follows from the run's own available power: hindsight.")
-    meter = np.random.default_rng(scenario.plant.meter_seed)  # The same errors in each run.
     profile = Profile(
-        np.ascontiguousarray(day.available_kw[:, day.order]),
-        day.commitment_kw,
+        day.mpp_kw,
+        commitment,
         regulation,
         plan.site.regulation_capacity_kw,
-        meter_error=scenario.plant.meter_noise * meter.standard_normal(day.available_kw.shape),
-        clear_sky_kw=day.source.clear_sky_kw(day.times) if plan.control.offers else np.zeros(0),
+        meter_error=day.meter_error,
+        clear_sky_kw=day.clear_sky_kw(day.times) if plan.control.offers else np.zeros(0),
         frequency_hz=frequency,
     )
     return Preparation(plan, profile, scenario_file, options, tuple(remarks))
@@ -179,28 +199,97 @@ def prepare(
 def _day(
     scenario_file: ScenarioFile,
     scenario: Scenario,
-    source: PowerSource,
+    seed: int | None,
     times: pd.DatetimeIndex,
-    own_times: pd.DatetimeIndex,
+    *,
+    keeps: bool,
+    read: Irradiance | None = None,
+    member: Member | None = None,
 ) -> _Day:
-    own = scenario_file.scenario
+    if scenario.plants:
+        return _fleet_day(scenario_file, scenario, seed, times, keeps=keeps)
+    own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
+    own_times, _ = _times(scenario_file, own, RunOptions())
+    source = power_source(scenario_file, seed, times, own_times, keeps=keeps, read=read)
+    source = source if member is None else member.placed(source)
     check_size(len(times), len(source.sites.names), "time.duration_s")
     available_kw = source.available_kw(times)
-    commitment = commitment_kw(
-        scenario.commitment,
-        times,
-        available_kw.sum(axis=1),
-        source.clear_sky_kw,
-        scenario_file.data_path,
-        scenario.time.timezone,
-    )
     deviations = _deviations(own, own_times, source, times)
     of_scenario = _local_hours(own_times, own.time.timezone)
     # Hours without a past cannot decide on clusters, unless there are no others.
     hours = sorted(set(of_scenario.tolist()).intersection(deviations))
     tree = control_tree(scenario.control, source.sites, deviations, hours or list(deviations))
     tree = with_storages(tree, scenario.storage)
-    return _Day(times, source, available_kw, commitment, deviations, tree)
+    place_of = {name: place for place, name in enumerate(source.sites.names)}
+    order = [place_of[leaf.rpartition("/")[2]] for leaf in tree.leaves]
+    beginnings = _beginnings_ns(times, scenario)
+    # The same errors in each run.
+    meter = np.random.default_rng(scenario.plant.meter_seed + (member.number if member else 0))
+    warnings = _warnings(source.sites, available_kw)
+    return _Day(
+        times=times,
+        tree=tree,
+        mpp_kw=np.ascontiguousarray(available_kw[:, order]),
+        available_kw=available_kw.sum(axis=1),
+        meter_error=scenario.plant.meter_noise * meter.standard_normal(available_kw.shape),
+        lat_lon_deg=np.column_stack((source.sites.lat_deg, source.sites.lon_deg))[order],
+        neighbourhoods=neighbourhoods(tree, deviations, order, beginnings),
+        history_kw={ns: deviations[hour].sum(axis=1) for hour, ns in beginnings.items()},
+        clear_sky_kw=source.clear_sky_kw,
+        remarks=(*(f"warning: {one}" for one in warnings), *source.remarks),
+        settings=scenario.plant.settings,
+        storages=scenario.storage,
+    )
+
+
+def _fleet_day(
+    scenario_file: ScenarioFile,
+    scenario: Scenario,
+    seed: int | None,
+    times: pd.DatetimeIndex,
+    *,
+    keeps: bool,
+) -> _Day:
+    """Work out the days of all plants of a fleet, and join them."""
+    days: list[tuple[Member, _Day]] = []
+    for member in members(scenario_file):
+        own = member.file.scenario
+        own = replace(own, time=replace(own.time, cycle_s=scenario.time.cycle_s))
+        with named_plant(member.number):
+            day = _day(member.file, own, member.run_seed(seed), times, keeps=keeps, member=member)
+            days.append((member, day))
+    check_size(len(times), sum(len(day.tree.leaves) for _, day in days), "time.duration_s")
+    parts = [day for _, day in days]
+    plants = tuple(member.plant(day.tree) for member, day in days)
+    storages = tuple(one for member, _ in days for one in member.storages()) + scenario.storage
+    tree = ControlTree(
+        tuple(
+            (member.path(path), rating_kw)
+            for member, day in days
+            for path, rating_kw in day.tree.inverters
+        ),
+        plants=tuple((one.name, one.export_limit_kw) for one in plants),
+    )
+    of_plants = (
+        replace(hood, node=member.path(hood.node))
+        for member, day in days
+        for hood in day.neighbourhoods
+    )
+    return _Day(
+        times=times,
+        tree=with_storages(tree, storages),
+        mpp_kw=np.hstack([day.mpp_kw for day in parts]),
+        available_kw=np.sum([day.available_kw for day in parts], axis=0),
+        meter_error=np.hstack([day.meter_error for day in parts]),
+        lat_lon_deg=np.vstack([day.lat_lon_deg for day in parts]),
+        neighbourhoods=(*of_plants, between([day.history_kw for day in parts])),
+        history_kw={},
+        clear_sky_kw=lambda when: np.sum([day.clear_sky_kw(when) for day in parts], axis=0),
+        remarks=tuple(f"{member.entry.name}: {one}" for member, day in days for one in day.remarks),
+        settings=tuple(one for member, _ in days for one in member.settings()),
+        storages=storages,
+        plants=plants,
+    )
 
 
 def _frequency_hz(
@@ -215,9 +304,17 @@ def _frequency_hz(
     return frequency_hz(settings, len(times), cycle_s, nominal_hz, find_file, begins)
 
 
-def _warnings(day: _Day) -> Iterator[str]:
+def _too_much(commitment_kw: NDArray[np.float64], tree: ControlTree) -> Iterator[str]:
+    rating_kw, highest_kw = tree.rating_kw(ROOT), commitment_kw.max()
+    if highest_kw > rating_kw * (1.0 + 1e-9):
+        yield (
+            f"warning: commitment: expected the plant's rating of {rating_kw:,.0f} kW at most, got "
+            f"{highest_kw:,.0f} kW"
+        )
+
+
+def _warnings(sites: Sites, available_kw: NDArray[np.float64]) -> Iterator[str]:
     """Warn of what can be run but is probably a mistake."""
-    sites, highest_kw = day.source.sites, day.commitment_kw.max()
     away_m = np.hypot(*east_north_m(sites.lat_deg, sites.lon_deg))
     farthest = int(away_m.argmax())
     if away_m[farthest] > _LARGEST_DISTANCE_M:
@@ -225,12 +322,7 @@ def _warnings(day: _Day) -> Iterator[str]:
             f"plant: expected inverters within {_LARGEST_DISTANCE_M / 1e3:g} km of its middle, got "
             f"{sites.names[farthest]} {away_m[farthest] / 1e3:,.0f} km away; check lat and lon"
         )
-    if highest_kw > sites.rating_kw.sum() * (1.0 + 1e-9):
-        yield (
-            f"commitment: expected the plant's rating of {sites.rating_kw.sum():,.0f} kW at most, "
-            f"got {highest_kw:,.0f} kW"
-        )
-    if not day.available_kw.any():
+    if not available_kw.any():
         yield (
             "time: expected a run by day, got one without any sun; check time.start, "
             "time.timezone and the positions of the inverters"
@@ -285,7 +377,8 @@ def _plan(
         ),
         grid=scenario.grid,
         orders=scenario.orders,
-        storages=scenario.storage,
+        storages=day.storages,
+        plants=day.plants,
     )
     with scenario_file.named():
         check_plan(plan)
@@ -314,9 +407,7 @@ def _control(scenario: Scenario, options: RunOptions, day: _Day) -> Control:
         actuator=options.actuator or scenario.plant.actuator,
         alpha_min=control.alpha_min,
         hold_cycles=control.hold_cycles,
-        neighbourhoods=neighbourhoods(
-            day.tree, day.deviations, day.order, _beginnings_ns(day.times, scenario)
-        ),
+        neighbourhoods=day.neighbourhoods,
         correction=scheme == "predictive" if control.correction is None else control.correction,
         offset_kw=control.offset * day.tree.rating_kw(ROOT),
         offset_errors=control.offset_errors,
@@ -342,7 +433,7 @@ def _site(
         delay_s=scenario.plant.delay_s,
         settings=tuple(
             replace(entry, revert=entry.revert and _renewable(entry.revert, scenario))
-            for entry in scenario.plant.settings
+            for entry in day.settings
         ),
         devices=tuple(pair for pair in devices if pair[0] != METER_NODE),
         meter=dict(devices).get(METER_NODE, ""),

@@ -250,6 +250,33 @@ class NeighboursTable(_Table, frozen=True):
     history: Literal["earlier-day", "hindsight"]
 
 
+class PlantEntry(_Table, frozen=True):
+    """A plant of a fleet.
+
+    name: Its name in the control tree.
+    scenario: A shipped scenario, or a TOML file: its inverters and clusters, its sky, its storages,
+        its losses and ramp limits.
+    lat: Latitude of its middle [degrees]. Default: that of its scenario.
+    lon: Longitude of its middle [degrees].
+    seed: Seed of its sky. Default: that of its scenario, and 1000 more for each plant before it.
+    export_limit_kw: Most that it may feed in at its meter [kW]. Default: the rating of its
+        inverters.
+    set: Other fields of its scenario, by name: `"irradiance.clouds.cloud_cover" = 0.6`.
+    """
+
+    name: str
+    scenario: str
+    lat: Annotated[float, Meta(ge=-80.0, le=80.0)] | None = None
+    lon: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
+    seed: Seed | None = None
+    export_limit_kw: Limit | None = None
+    set: dict[str, bool | int | float | str] = {}
+
+    def __post_init__(self) -> None:
+        if (self.lat is None) != (self.lon is None):
+            raise InputError.of("lat", f"expected lon with it, got {self.lat} and {self.lon}")
+
+
 class BudgetTable(_Table, frozen=True):
     """Upper limits by which a run in real time is judged.
 
@@ -310,6 +337,7 @@ class Scenario(_Table, frozen=True):
     name: First part of every key on the bus.
     title: Description: the heading of tables and reports.
     storage: Storages beside the inverters.
+    plants: The plants of a fleet; without `plant`, `irradiance` and `neighbours`.
     regulation: Default: no regulation is offered.
     grid: What the grid asks of the plant. Default: nothing.
     frequency: The grid's frequency. Default: the nominal one.
@@ -333,6 +361,7 @@ class Scenario(_Table, frozen=True):
     neighbours: NeighboursTable
     commitment: CommitmentSettings
     storage: tuple[StorageSettings, ...] = ()
+    plants: tuple[PlantEntry, ...] = ()
     regulation: RegulationSettings | None = None
     grid: GridSettings = GridSettings()
     frequency: FrequencySettings | None = None
@@ -395,6 +424,14 @@ class ScenarioFile(msgspec.Struct, frozen=True):
         )
 
 
+_OF_FLEET: Final[dict[str, object]] = {
+    "plant": {},
+    "irradiance": {"kind": "clouds"},
+    "control": {},
+    "neighbours": {"history": "earlier-day"},
+}
+"""Tables that each plant of a fleet has in its own scenario."""
+
 _SHIPPED: Final = Path(str(files("scenarios"))) / "shipped"
 
 
@@ -416,6 +453,8 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         document = msgspec.toml.decode(text)
     except UNREADABLE as error:
         raise InputError(f"{path}: expected TOML in UTF-8: {error}") from None
+    if document.get("plants"):
+        document = _OF_FLEET | document
     scenario = checked(document, Scenario, str(path), text)
     return ScenarioFile(scenario, text, path, data_folder or path.parent, source=text)
 

@@ -39,9 +39,9 @@ class PlantState:
     `ordered_alpha` and `ordered_kw` are its commands of the last intervals, the newest first, shape
     (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
     it goes to when its revert time is over. `cycle` is that of the interval. `dispatch` is what the
-    operator wants in it, and `promise` what was offered for it. `memory` is what the central
-    controller stated last, `record` its newest one with a record of its offers. `stores` are the
-    storages.
+    operator wants in it, and `promise` what was offered for it. `memories` are what the
+    controllers at the meters stated last, `record` the central one's newest with a record of its
+    offers. `stores` are the storages.
     """
 
     alpha: Floats
@@ -53,7 +53,7 @@ class PlantState:
     revert_kw: Floats
     dispatch: Dispatch
     promise: Promise = Promise()
-    memory: Memory | None = None
+    memories: tuple[Memory | None, ...] = ()
     record: Memory | None = None
     cycle: int = -1
     stores: tuple[Store, ...] = ()
@@ -69,6 +69,7 @@ class Inverters:
         shares = [1.0 if isinstance(revert.to, str) else revert.to for revert in reverts]
         ramps = [entry.ramp_percent_per_s or inf for entry in settings]
         self.rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in leaves])
+        self.sharing_kw = np.array([plan.tree.sharing_kw(leaf) for leaf in leaves])
         self._limits = plan.control.actuator == "limit"
         self._revert_cycles = np.array(
             [whole_cycles(revert.after_s, cycle_s) for revert in reverts]
@@ -145,8 +146,8 @@ class Inverters:
 
     def first_held(self, mpp_kw: Floats, dispatch_kw: float) -> tuple[Floats, Floats]:
         """Return alpha and limit with which inverters hold their shares of the first dispatch."""
-        plant_kw = total(self.rating_kw.tolist())
-        share_kw = self.rating_kw * (usable_dispatch_kw(dispatch_kw, plant_kw) / plant_kw)
+        plant_kw = total(self.sharing_kw.tolist())
+        share_kw = self.sharing_kw * (usable_dispatch_kw(dispatch_kw, plant_kw) / plant_kw)
         alpha = np.divide(share_kw, mpp_kw, out=np.ones_like(mpp_kw), where=mpp_kw > share_kw)
         return alpha, share_kw if self._limits else self.rating_kw
 

@@ -6,6 +6,7 @@ apply  command of each inverter -> production: what really happened in the inter
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from math import isnan
 from typing import Final
@@ -14,8 +15,6 @@ import numpy as np
 from msgspec import UNSET
 
 from agents.agent import Stage, Turn
-from agents.control.allocation import total
-from agents.control.grid import net_kw
 from agents.control.offers import is_due
 from agents.faults import Trip, trips
 from agents.plan import RunPlan
@@ -34,6 +33,7 @@ from bus_schemas.signals import (
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
 from sim_plant.inverters import Inverters, PlantState, Promise, stated_kw
+from sim_plant.meters import Meters
 from sim_plant.orders import BEFORE_RUN, Orders
 from sim_plant.profile import Profile
 from sim_plant.storage import Storages, Store
@@ -62,12 +62,11 @@ class Plant:
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in plan.tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
         self._storage_commands = tuple(map(COMMAND.of, plan.tree.storage_paths))
-        self._grid = plan.grid_law
-        self._meter_error = plan.grid.meter_error_percent / 100.0
+        self._meters, self._memories = Meters(plan), tuple(map(MEMORY.of, plan.tree.meters))
         self._orders = Orders(plan)
         self._offers = plan.offer_law
         sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
-        apply = Stage("apply", (*self._commands, *self._storage_commands, MEMORY.of(ROOT)))
+        apply = Stage("apply", (*self._commands, *self._storage_commands, *self._memories))
         self._stages = (sense, apply)
         self._with_offer = (sense, Stage("apply", (*apply.awaits, OFFER.of(ROOT))))
 
@@ -103,21 +102,7 @@ class Plant:
         schedule_kw = commitment_kw, regulation_kw, clear_sky_kw
         scheduled = self._orders.scheduled(turn.stamp, *schedule_kw)
         dispatch = self._orders.next(state.dispatch, turn.inputs[ORDER.of(ROOT)], scheduled)
-        of_storages_kw = total([store.power_kw for store in state.stores])
-        fed_in_kw = net_kw(total(state.power_kw.tolist()) + of_storages_kw, self._grid)
-        meter = Meter(
-            *turn.stamp,
-            power_kw=fed_in_kw * (1.0 + self._meter_error),
-            frequency_hz=self._profile.frequency_at(cycle),
-        )
-        if (memory := state.memory) is not None:
-            meter.correction_kw, meter.error_kw = memory.correction_kw, memory.error_kw
-            meter.expected_kw, meter.reference_kw = memory.expected_kw, memory.reference_kw
-            meter.lacking_kw, meter.tried_kw = memory.lacking_kw, memory.tried_kw
-            meter.helped_share = memory.helped_share
-            if state.record is not None and memory.intervals < state.record.intervals:
-                meter.record = state.record.record
-        outputs: list[Delivery] = [(DISPATCH.of(ROOT), dispatch), (METER.of(ROOT), meter)]
+        outputs: list[Delivery] = [(DISPATCH.of(ROOT), dispatch), *self._metered(state, turn)]
         measured_kw = (state.power_kw * (1.0 + self._profile.meter_error[cycle])).tolist()
         alpha, limit_kw = state.alpha.tolist(), state.limit_kw.tolist()
         available_kw = self._available_kw(cycle)
@@ -143,6 +128,24 @@ class Plant:
             )
             outputs.append((TELEMETRY.of(node), telemetry))
         return replace(state, dispatch=dispatch, promise=promise), outputs
+
+    def _metered(self, state: PlantState, turn: Turn) -> Iterator[Delivery]:
+        stored_kw = [store.power_kw for store in state.stores]
+        readings_kw = self._meters.readings_kw(state.power_kw.tolist(), stored_kw)
+        memories = state.memories or (None,) * len(readings_kw)
+        for port, power_kw, memory in zip(self._memories, readings_kw, memories, strict=True):
+            meter = Meter(*turn.stamp, power_kw=power_kw)
+            if port.node == ROOT:
+                meter.frequency_hz = self._profile.frequency_at(max(turn.cycle, 0))
+            if memory is not None:
+                meter.correction_kw, meter.error_kw = memory.correction_kw, memory.error_kw
+                meter.expected_kw, meter.reference_kw = memory.expected_kw, memory.reference_kw
+                meter.lacking_kw, meter.tried_kw = memory.lacking_kw, memory.tried_kw
+                meter.helped_share = memory.helped_share
+                record = state.record if port.node == ROOT else None
+                if record is not None and memory.intervals < record.intervals:
+                    meter.record = record.record
+            yield METER.of(port.node), meter
 
     def _available_kw(self, cycle: int) -> list[float | None]:
         """Return what each inverter states that it could have given in the last interval."""
@@ -171,9 +174,9 @@ class Plant:
         production = Production(
             *turn.stamp,
             dispatch_kw=state.dispatch.power_kw,
-            available_kw=net_kw(float(mpp_kw.sum()), self._grid),
-            delivered_kw=net_kw(
-                float(power_kw.sum()) + total([store.power_kw for store in stores]), self._grid
+            available_kw=float(self._meters.available_kw(mpp_kw)),
+            delivered_kw=float(
+                self._meters.fed_in_kw(power_kw, np.array([store.power_kw for store in stores]))
             ),
             inverter_mpp_kw=tuple(mpp_kw.tolist()),
             inverter_power_kw=tuple(power_kw.tolist()),
@@ -181,9 +184,13 @@ class Plant:
         if stores:
             production.storage_power_kw = tuple(store.power_kw for store in stores)
             production.storage_energy_kwh = tuple(store.energy_kwh for store in stores)
-        memory = turn.get(MEMORY.of(ROOT)) or state.memory
+        before = state.memories or (None,) * len(self._memories)
+        memories = tuple(
+            turn.get(port) or last for port, last in zip(self._memories, before, strict=True)
+        )
+        memory = memories[0]
         record = state.record if memory is None or memory.record is None else memory
-        state = replace(state, power_kw=power_kw, memory=memory, record=record, stores=stores)
+        state = replace(state, power_kw=power_kw, memories=memories, record=record, stores=stores)
         return state, [(PRODUCTION.of(ROOT), production)]
 
     def _stores(self, state: PlantState, turn: Turn) -> tuple[Store, ...]:

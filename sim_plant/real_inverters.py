@@ -18,7 +18,6 @@ import msgspec
 import numpy as np
 
 from agents.agent import Turn
-from agents.control.grid import net_kw
 from agents.plan import RunPlan
 from agents.settings import InverterSettings
 from bus_schemas.bus import Delivery
@@ -166,9 +165,9 @@ class PlantWithDevices(Plant):
         if stores:
             production.storage_power_kw = tuple(store.power_kw for store in stores)
             production.storage_energy_kwh = tuple(store.energy_kwh for store in stores)
-        of_storages_kw = sum(store.power_kw for store in stores)
-        production.available_kw = net_kw(float(mpp_kw.sum()), self._grid)
-        production.delivered_kw = net_kw(float(power_kw.sum()) + of_storages_kw, self._grid)
+        stored_kw = np.array([store.power_kw for store in stores])
+        production.available_kw = float(self._meters.available_kw(mpp_kw))
+        production.delivered_kw = float(self._meters.fed_in_kw(power_kw, stored_kw))
         production.unknown_kw = assumed_kw
         if METER_PLACE in fresh:  # It also counts what the lost ones give.
             production.delivered_kw, production.unknown_kw = fresh[METER_PLACE].power_kw, 0.0

@@ -6,9 +6,10 @@ from math import inf, isfinite
 
 import numpy as np
 
-from agents.control.grid import gross_kw
+from agents.control.grid import GridLaw, gross_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator
+from bus_schemas.tree import ROOT
 from sim_plant import Floats
 
 
@@ -36,23 +37,35 @@ def powers_without_help_kw(
     meter_error
         Relative error of the inverters' meters, a number or shape (T, n).
     """
-    rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
-    aim_kw, law = desired_kw + plan.control.offset_kw, plan.grid_law
-    if law.loss_kw or law.loss_per_kw:
-        aim_kw = np.array([gross_kw(kw, law) for kw in aim_kw.tolist()])
-    level = np.clip(aim_kw / rating_kw.sum(), 0.0, 1.0)
+    tree = plan.tree
+    rating_kw = np.array([tree.rating_kw(leaf) for leaf in tree.leaves])
+    aim_kw = _gross_kw(desired_kw + plan.control.offset_kw, plan.grid_law)
     share_kw = np.empty_like(mpp_kw)
     kinds = _kinds(plan)
-    for kind in dict.fromkeys(kinds):
-        alike = np.array([other == kind for other in kinds])
-        obeyed = _obeyed(level, plan.timing.cycle_s, *kind)
-        share_kw[:, alike] = np.outer(obeyed, rating_kw[alike])
+    for node in tree.meters[1:] or tree.meters:
+        own_kw = aim_kw
+        if node:
+            own_kw = _gross_kw(
+                aim_kw * (tree.rating_kw(node) / tree.rating_kw(ROOT)), plan.grid_laws[node]
+            )
+        below = tree.leaves_below(node)
+        level = np.clip(own_kw / rating_kw[list(below)].sum(), 0.0, 1.0)
+        for kind in dict.fromkeys(kinds[at] for at in below):
+            alike = [at for at in below if kinds[at] == kind]
+            obeyed = _obeyed(level, plan.timing.cycle_s, *kind)
+            share_kw[:, alike] = np.outer(obeyed, rating_kw[alike])
     if actuator == "limit":
         return np.minimum(mpp_kw, share_kw)
     metered_kw = np.concatenate([mpp_kw[:1], mpp_kw[:-1]]) * (1.0 + meter_error)
     impp_kw = np.minimum(metered_kw, rating_kw)
     fraction = np.divide(share_kw, impp_kw, out=np.ones_like(share_kw), where=impp_kw > 0.0)
     return np.asarray(mpp_kw * np.clip(fraction, plan.control.alpha_min, 1.0))
+
+
+def _gross_kw(net_kw: Floats, law: GridLaw) -> Floats:
+    if not (law.loss_kw or law.loss_per_kw):
+        return net_kw
+    return np.array([gross_kw(kw, law) for kw in net_kw.tolist()])
 
 
 def settling_cycles(plan: RunPlan) -> int:

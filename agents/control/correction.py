@@ -175,7 +175,8 @@ def corrected_kw(known: Correction, law: CorrectionLaw, grid: GridLaw) -> float:
     Losses are known ahead, so that the correction need not find them.
     """
     needed_kw = gross_kw(known.aim_kw, grid) if law.is_on else known.aim_kw
-    return min(max(needed_kw + known.correction_kw, 0.0), law.rating_kw)
+    lowest_kw = min(grid.pmin_kw, 0.0)  # A plant of a fleet may charge its storages.
+    return min(max(needed_kw + known.correction_kw, lowest_kw), law.rating_kw)
 
 
 def shown_turns(delay_s: float, turn_s: float) -> int:

@@ -93,6 +93,7 @@ def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
     from recordings.inspect.timeline import timeline
     from recordings.read.series import plant_series_of
     from results.figures import run_figures
+    from results.plants import plant_figures, plants_tables
     from results.summary_table import figures_table
     from results.timeline_tables import plant_table, states_table
 
@@ -113,10 +114,13 @@ def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
     series = plant_series_of(run).between(0, cycle + 1)
     figures = run_figures(series) if series.known.any() else None
     output.show(figures_table("Figures of merit up to this cycle", figures))
+    for table in plants_tables(plants := [*plant_figures(series)]):
+        output.show(table)
     return {
         "cycle": cycle,
         "time": central.time,
         "figures": figures,
+        "plants": plants,
         "agents": {agent: state.document() for agent, state in states.items()},
         "nodes": [node.document() for node in nodes],
     }

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from agents.control.grid import desired_kw, net_kw, ramped_kw, response_kw
+from agents.control.grid import desired_kw, ramped_kw, response_kw
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
@@ -27,6 +27,7 @@ from bus_schemas.signals import COMMAND, DISPATCH, IMPP, METER, PRODUCTION, RESI
 from bus_schemas.tree import ROOT, parent_of
 from recordings.read.order_history import OrderHistory
 from recordings.read.reader import RunReader
+from sim_plant.meters import Meters
 from sim_plant.profile import PROFILE_NAME, load_profile
 from sim_plant.without_help import powers_without_help_kw, settling_cycles
 
@@ -138,28 +139,29 @@ class RunSeries:
     @property
     def available_kw(self) -> NDArray[np.float64]:
         """True maximum power of the plant at its meter, shape (T,)."""
-        return net_kw(_sum_kw(self.mpp_kw), self.plan.grid_law)
+        return self.meters.available_kw(self.mpp_kw)
 
     @property
     def delivered_kw(self) -> NDArray[np.float64]:
         """Power of the plant at its meter, shape (T,)."""
-        return net_kw(self._gross_kw, self.plan.grid_law) + self.unlisted_kw
+        return self.meters.fed_in_kw(self.power_kw, self.storage_power_kw) + self.unlisted_kw
 
     @property
     def lost_kw(self) -> NDArray[np.float64]:
         """Losses between inverters and meter, shape (T,)."""
-        return self._gross_kw - net_kw(self._gross_kw, self.plan.grid_law)
+        gross_kw = self.power_kw.sum(axis=1) + self.storage_power_kw.sum(axis=1)
+        return np.asarray(gross_kw - self.meters.fed_in_kw(self.power_kw, self.storage_power_kw))
 
     @property
-    def _gross_kw(self) -> NDArray[np.float64]:
-        return _sum_kw(self.power_kw) + _sum_kw(self.storage_power_kw)
+    def meters(self) -> Meters:
+        return Meters(self.plan, self.inverters)
 
     @property
     def without_storage_kw(self) -> NDArray[np.float64]:
         """What the inverters alone gave the plant at its meter, shape (T,)."""
         if not self.storage_power_kw.size:
             return self.delivered_kw
-        return net_kw(_sum_kw(self.power_kw), self.plan.grid_law) + self.unlisted_kw
+        return self.meters.fed_in_kw(self.power_kw) + self.unlisted_kw
 
     @property
     def shortfall_kw(self) -> NDArray[np.float64]:
@@ -210,15 +212,11 @@ class RunSeries:
         return replace(self, first_cycle=self.first_cycle + first, **part)
 
 
-def _sum_kw(powers_kw: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(powers_kw.sum(axis=1))
-
-
 def _without_help_kw(
     plan: RunPlan, mpp_kw: NDArray[np.float64], desired_kw: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     powers_kw = powers_without_help_kw(plan, mpp_kw, desired_kw, plan.control.actuator)
-    return net_kw(powers_kw.sum(axis=1), plan.grid_law)
+    return Meters(plan).fed_in_kw(powers_kw)
 
 
 def desired_powers(
@@ -314,22 +312,25 @@ class SeriesCollector:
                 self.orders.see(message)
             case Production():
                 self._enter_production(port, message)
-            case Meter() if message.frequency_hz is not None:
-                self._enter_of_plant(port, message.cycle, frequency_hz=message.frequency_hz)
+            case Meter(frequency_hz=float() as frequency_hz):
+                self._enter_of_plant(port, message.cycle, frequency_hz=frequency_hz)
 
     def _enter_production(self, port: Port[Message], message: Production) -> None:
         self._cycles = max(self._cycles, message.cycle + 1)
         power_kw = self._row(message.inverter_power_kw)
         stored = self._of_storages(message)
-        gross_kw = float(power_kw.sum()) + float(stored["storage_power_kw"].sum())
-        listed_kw = net_kw(gross_kw, self._plan.grid_law)
-        metered_kw = message.delivered_kw if self._plan.site.meter else listed_kw
+        unlisted_kw = 0.0
+        if self._plan.site.meter:
+            listed_kw = Meters(self._plan, self._clusters).fed_in_kw(
+                power_kw, stored["storage_power_kw"]
+            )
+            unlisted_kw = message.delivered_kw - float(listed_kw)
         self._enter_of_plant(
             port,
             message.cycle,
             mpp_kw=self._row(message.inverter_mpp_kw),
             power_kw=power_kw,
-            unlisted_kw=metered_kw - listed_kw,
+            unlisted_kw=unlisted_kw,
             unknown_kw=message.unknown_kw,
             **stored,
         )

@@ -26,6 +26,7 @@ from results.answers import answers, answers_tables, judged
 from results.figures import Figures, run_figures
 from results.headline import headline, percent
 from results.highlights import highlights
+from results.plants import plant_figures, plants_tables
 from results.report.help import HelpBetween, help_table
 from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices, residuals
 from results.report.marks import Mark, mark, run_marks
@@ -61,6 +62,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
             overview, outcome = overview_of(reader), outcome_of(reader)
             tables = [
                 *figures_tables([series]),
+                *plants_tables([*plant_figures(series)]),
                 *answers_tables(judged(answers(series), _budgets(reader))),
                 help_table(found, reader.clock),
                 health_table(overview, reader.clock, outcome),

@@ -25,6 +25,7 @@ from agents.control.correction import (
     nothing_metered,
     with_reading,
 )
+from agents.control.fleet import feedable_kw
 from agents.control.forecast import HIDDEN_ALPHA_MIN, Reading, forecast_impp, held_kw
 from agents.control.grid import GridLaw, net_kw
 from agents.control.impp import (
@@ -53,6 +54,7 @@ from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import ControlArrays, control_arrays, is_corrected
+from studies.arrays.plant_arrays import PlantArrays, grid_law, metered_kw, read_meters
 from studies.arrays.storage_arrays import (
     StorageArrays,
     ask_storages,
@@ -138,6 +140,7 @@ class LoopInputs(NamedTuple):
     known: Correction
     storages: StorageArrays
     course: Course
+    plants: PlantArrays
 
 
 class LoopResult(NamedTuple):
@@ -200,7 +203,7 @@ def loop_inputs(
     )
     plan = replace(plan, control=replace(plan.control, actuator=actuator))
     schedule = _schedule(plan, profile, record)
-    tree, storages = control_arrays(plan, profile.cycles)
+    tree, storages, plants = control_arrays(plan, profile.cycles, law.is_on)
     kept_asked = ceil((settings.pursuit.delay + 1) / KEPT_TURNS) * KEPT_TURNS
     return LoopInputs(
         tree,
@@ -213,6 +216,7 @@ def loop_inputs(
         nothing_metered(settings.correction),
         storages,
         Course((nan,) * kept_asked, nan),
+        plants,
     )
 
 
@@ -266,6 +270,7 @@ def closed_loop(
     known: Correction,
     storages: StorageArrays,
     course: Course,
+    plants: PlantArrays,
 ) -> LoopResult:
     cycles, inverters = mpp_kw.shape
     shares = np.full(2, schedule.offers.first_share)
@@ -279,6 +284,7 @@ def closed_loop(
     rating_kw = tree.rating_kw[tree.inverters]
     limit_kw = rating_kw.copy()
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
+    known_of_plants = [known for _ in range(len(plants.read_kw))]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
     for cycle in range(cycles):
@@ -293,16 +299,19 @@ def closed_loop(
                 rating_kw[i],
                 estimates[i],
             )
-        report_up(tree, settings, estimates, node_impp_kw)
+        report_up(tree, settings, estimates, node_impp_kw, plants)
         possible_kw = net_kw(node_impp_kw[0], settings.grid)
-        gross_kw = total(last_kw) + total(storages.power_kw)
-        read_kw = net_kw(gross_kw, settings.grid) * (1.0 + settings.meter_error)
+        read_kw = read_meters(
+            plants, last_kw, storages.power_kw, settings.grid, settings.meter_error
+        )
         if schedule.offers.interval_cycles > 0:
             follow_offers(schedule, shares, cycle, possible_kw, read_kw if cycle > 0 else nan)
         heard_kw = usable_dispatch_kw(schedule.dispatch_kw[cycle], plant_rating_kw)
         if cycle > 0:
             known = with_reading(known, read_kw)
-        able = state_abilities(storages)
+            for plant in range(len(known_of_plants)):
+                known_of_plants[plant] = with_reading(known_of_plants[plant], plants.read_kw[plant])
+        able = state_abilities(storages, plants)
         possible_kw = net_kw(node_impp_kw[0] + able.discharge_kw, settings.grid)
         if cycle % tree.period[0] == 0:
             known = corrected(known, heard_kw, possible_kw, 0.0, settings.correction)
@@ -316,10 +325,12 @@ def closed_loop(
                 settings.pursuit,
                 settings.helps_first,
             )
-        solve_down(cycle, tree, settings, node_impp_kw, target_kw, storages)
+        solve_down(
+            cycle, tree, settings, node_impp_kw, target_kw, storages, plants, known_of_plants
+        )
         for i in range(inverters):
             node = tree.inverters[i]
-            own_kw = share_kw(heard_kw, tree.rating_kw[node], plant_rating_kw)
+            own_kw = share_kw(heard_kw, tree.sharing_kw[i], plant_rating_kw)
             residuals_kw[cycle, i] = node_impp_kw[node] - own_kw
             impp_kw[cycle, i] = node_impp_kw[node]
             is_gone = is_lost(estimates[i], settings.hold_cycles)
@@ -420,14 +431,23 @@ def commanded_kw(
 
 
 def report_up(
-    tree: ControlArrays, settings: LoopSettings, estimates: list[Estimate], impp_kw: Floats
+    tree: ControlArrays,
+    settings: LoopSettings,
+    estimates: list[Estimate],
+    impp_kw: Floats,
+    plants: PlantArrays,
 ) -> None:
     """Add up the children's IMPP, from the inverters to the root."""
     for i in range(len(estimates)):
         is_gone = is_lost(estimates[i], settings.hold_cycles)
         impp_kw[tree.inverters[i]] = 0.0 if is_gone else estimates[i].power_kw
     for row in range(len(tree.parents) - 1, -1, -1):
-        impp_kw[tree.parents[row]] = total(impp_kw[tree.first[row] : tree.end[row]])
+        node = tree.parents[row]
+        impp_kw[node] = total(impp_kw[tree.first[row] : tree.end[row]])
+        plant = plants.of_node[node]
+        if plant >= 0:
+            plants.impp_kw[plant] = impp_kw[node]
+            impp_kw[node] = feedable_kw(impp_kw[node], grid_law(plants, plant))
 
 
 def solve_down(
@@ -437,12 +457,16 @@ def solve_down(
     impp_kw: Floats,
     target_kw: Floats,
     storages: StorageArrays,
+    plants: PlantArrays,
+    known: list[Correction],
 ) -> None:
     """Divide each parent's last target among its children in its turns, from the root down."""
     for row in range(len(tree.parents)):
         if cycle % tree.period[row] == 0:
             first, end = tree.first[row], tree.end[row]
-            own_kw = target_kw[tree.parents[row]]
+            node = tree.parents[row]
+            kept_turns = settings.correction.kept_turns
+            own_kw = metered_kw(plants, node, target_kw[node], known, kept_turns)
             for parent in range(1, len(storages.row)):
                 if storages.row[parent] == row:
                     own = storages.own[parent]

@@ -12,6 +12,7 @@ from agents.control.allocation import help_order
 from agents.plan import RunPlan
 from agents.settings import Scheme
 from bus_schemas.tree import ROOT, depth
+from studies.arrays.plant_arrays import PlantArrays, plant_arrays
 from studies.arrays.storage_arrays import StorageArrays, storage_arrays
 
 
@@ -21,6 +22,7 @@ class ControlArrays(NamedTuple):
     Nodes are numbered from the root down, so that the children of a parent follow each other.
 
     rating_kw: AC rating of each node, shape (N,).
+    sharing_kw: That by which each inverter shares the dispatch, shape (n,).
     inverters: Node number of each inverter, in the plant's order, shape (n,).
     parents: Node number of each parent, the root first and each before its children, shape (P,).
     first, end: Node number of each parent's first child, and the number after its last, shape (P,).
@@ -31,6 +33,7 @@ class ControlArrays(NamedTuple):
     """
 
     rating_kw: NDArray[np.float64]
+    sharing_kw: NDArray[np.float64]
     inverters: NDArray[np.int64]
     parents: NDArray[np.int64]
     first: NDArray[np.int64]
@@ -40,7 +43,10 @@ class ControlArrays(NamedTuple):
     hour: NDArray[np.int64]
 
 
-def control_arrays(plan: RunPlan, cycles: int) -> tuple[ControlArrays, StorageArrays]:
+def control_arrays(
+    plan: RunPlan, cycles: int, is_on: bool
+) -> tuple[ControlArrays, StorageArrays, PlantArrays]:
+    """Return a plan's tree, storages and plants; `is_on`: targets are corrected by meters."""
     tree = plan.tree
     number = {ROOT: 0}
     parents: list[str] = []
@@ -64,6 +70,7 @@ def control_arrays(plan: RunPlan, cycles: int) -> tuple[ControlArrays, StorageAr
     hour = np.maximum(np.searchsorted(times_ns, sim_time_ns, side="right") - 1, 0)
     arrays = ControlArrays(
         rating_kw=np.array([tree.rating_kw(path) for path in number]),
+        sharing_kw=np.array([tree.sharing_kw(leaf) for leaf in tree.leaves]),
         inverters=np.array([number[leaf] for leaf in tree.leaves], dtype=np.int64),
         parents=np.array([number[path] for path in parents], dtype=np.int64),
         first=np.array(ends, dtype=np.int64) - np.array(children, dtype=np.int64),
@@ -74,7 +81,8 @@ def control_arrays(plan: RunPlan, cycles: int) -> tuple[ControlArrays, StorageAr
         order=_orders(plan, parents, children, times_ns),
         hour=hour.astype(np.int64),
     )
-    return arrays, storage_arrays(plan, cycles, number, parents)
+    plants = plant_arrays(plan, number, is_on)
+    return arrays, storage_arrays(plan, cycles, number, parents), plants
 
 
 def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:

@@ -72,6 +72,8 @@ def run_scheme(
             "expected losses and meter_error_percent alone, since a study over arrays has no "
             "ramp limits and no frequency response; use simulate",
         )
+    if plan.plants and name in {"grouping", "physical-limit"}:
+        raise InputError.of("--schemes", f"expected schemes that know plants, got {name}")
     if name in get_args(Scheme):
         results = [run_loop(plan, profile, cast(Scheme, name), actuator)._asdict()]
     else:

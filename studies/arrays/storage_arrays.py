@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.allocation import total
+from agents.control.fleet import feedable_ability
 from agents.control.storage import (
     Ability,
     Course,
@@ -24,6 +25,7 @@ from agents.control.storage import (
 from agents.plan import RunPlan
 from bus_schemas.tree import ROOT
 from sim_plant.storage import Storages
+from studies.arrays.plant_arrays import PlantArrays, grid_law
 
 
 class StorageArrays(NamedTuple):
@@ -102,7 +104,7 @@ def law_of(storages: StorageArrays, storage: int) -> StorageLaw:
     return StorageLaw(law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7], law[8])
 
 
-def state_abilities(storages: StorageArrays) -> Ability:
+def state_abilities(storages: StorageArrays, plants: PlantArrays) -> Ability:
     """Let storages and parents state what can be done; return it for the plant as a whole."""
     able, together = storages.able, Ability(0.0, 0.0, 0.0)
     for storage in range(len(storages.node)):
@@ -116,6 +118,11 @@ def state_abilities(storages: StorageArrays) -> Ability:
         together = Ability(total(below[:, 0]), total(below[:, 1]), total(below[:, 2]))
         if storages.own[parent] >= 0:
             own = storages.own[parent]
+            plant = plants.of_node[storages.in_tree[own]]
+            if plant >= 0:
+                plants.able_kw[plant] = together.discharge_kw
+                grid = grid_law(plants, plant)
+                together = feedable_ability(plants.impp_kw[plant], together, grid)
             able[own, 0], able[own, 1] = together.discharge_kw, together.absorb_kw
             able[own, 2] = together.charge_kw
     return together

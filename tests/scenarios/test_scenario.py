@@ -152,7 +152,7 @@ def test_probable_mistakes_are_run_with_warnings(folder: Folder) -> None:
     folder.change("power_kw = 100", "power_kw = 301")
     folder.change("13:00:00", "01:00:00")
     folder.change("37.102", "3.7102", "plant.csv")
-    expected = ("plant: expected inverters within 100 km", "commitment: expected", "time: expected")
+    expected = ("plant: expected inverters within 100 km", "time: expected", "commitment: expected")
     for warning, complaint in zip(folder.prepare().remarks, expected, strict=True):
         assert warning.startswith(f"warning: {complaint}")
 

@@ -9,9 +9,17 @@ from typing import Any, get_args
 import numba
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_struct
 from plans_by_hand import with_changes
 
-from agents.settings import Actuator, InverterSettings, Scheme, StorageHelp, StorageSettings
+from agents.settings import (
+    Actuator,
+    GridSettings,
+    InverterSettings,
+    Scheme,
+    StorageHelp,
+    StorageSettings,
+)
 from recordings.read.series import RunSeries
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -30,6 +38,16 @@ def oahu() -> Preparation:
 @pytest.fixture(scope="module")
 def valley() -> Preparation:
     return prepare(load_scenario("valley"), RunOptions(duration="60"), "loop")
+
+
+@pytest.fixture(scope="module")
+def fleet() -> Preparation:
+    return prepare(load_scenario("fleet"), RunOptions(start="12:30", duration="200"), "loop")
+
+
+RAMPS = GridSettings(
+    ramp_up_kw_per_min=3000.0, ramp_down_kw_per_min=4000.0, meter_error_percent=0.5
+)
 
 
 def with_profile(preparation: Preparation, **changes: Any) -> Preparation:
@@ -172,6 +190,17 @@ def test_loop_and_agents_give_the_same_with_storages_in_tiers_of_different_paces
     )
     plan = with_plan(valley, storages=storages, period_cycles=(12, 4, 2))
     assert_equal(plan, "predictive")
+
+
+@pytest.mark.parametrize("actuator", get_args(Actuator))
+@pytest.mark.parametrize("scheme", get_args(Scheme))
+def test_loop_and_agents_give_the_same_in_a_fleet(
+    fleet: Preparation, scheme: Scheme, actuator: Actuator
+) -> None:
+    regulation_kw = np.where(np.arange(fleet.profile.cycles) // 40 % 2, 6000.0, -2500.0)
+    stepped = with_plan(with_profile(fleet, regulation_kw=regulation_kw), actuator=actuator)
+    plants = (replace_struct(stepped.plan.plants[0], grid=RAMPS), *stepped.plan.plants[1:])
+    assert_equal(with_plan(stepped, plants=plants), scheme)
 
 
 @pytest.mark.parametrize("actuator", get_args(Actuator))

@@ -1,0 +1,108 @@
+"""The plants of a fleet: what each takes from its scenario, and every wrong one is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from own_scenarios import Folder
+
+from scenarios.scenario import load_scenario
+
+SECOND = 'name = "north"\nscenario = "oahu"'
+PLANTS = f"""
+[[plants]]
+name = "west"
+scenario = "oahu"
+lat = 21.3
+lon = -158.0
+
+[[plants]]
+{SECOND}
+
+[plants.set]
+"plant.delay_s" = 2.0
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    shipped = load_scenario("fleet").text.partition("# Each plant is")[0]
+    return Folder(tmp_path, shipped.replace("duration_s = 3600", "duration_s = 5") + PLANTS)
+
+
+def test_each_plant_keeps_its_clusters_and_has_its_own_sky_place_and_settings(
+    folder: Folder,
+) -> None:
+    alone = load_scenario("oahu")
+    fleet = folder.prepare()
+    assert fleet.plan.tree.children("") == ("west", "north")
+    first, second = fleet.profile.mpp_kw[:, :17], fleet.profile.mpp_kw[:, 17:]
+    assert not np.array_equal(first, second)
+    east_m, north_m = np.array(fleet.plan.site.positions_m).T
+    assert np.hypot(east_m[0] - east_m[17], north_m[0] - north_m[17]) > 5_000.0
+    delays_s = [fleet.plan.site.settings_of(leaf).delay_s for leaf in fleet.plan.tree.leaves]
+    assert delays_s == [0.0] * 17 + [2.0] * 17
+    folder.write("scenario.toml", alone.text.replace("duration_s = 3600", "duration_s = 5"))
+    tree = folder.prepare().plan.tree
+    assert [f"west/{leaf}" for leaf in tree.leaves] == list(fleet.plan.tree.leaves[:17])
+
+
+def test_a_seed_changes_the_sky_of_each_plant_and_leaves_the_clusters(folder: Folder) -> None:
+    first, second = folder.prepare(seed=1), folder.prepare(seed=2)
+    assert first.plan.tree == second.plan.tree
+    for plant in (slice(0, 17), slice(17, 34)):
+        assert not np.array_equal(first.profile.mpp_kw[:, plant], second.profile.mpp_kw[:, plant])
+
+
+def test_the_rating_of_a_fleet_is_what_its_plants_may_feed_in(folder: Folder) -> None:
+    folder.change(SECOND, f"{SECOND}\nexport_limit_kw = 5000")
+    tree = folder.prepare().plan.tree
+    assert tree.rating_kw("north") == 5000.0
+    assert tree.rating_kw("") == 13_000.0
+    shares = [tree.sharing_kw(leaf) for leaf in tree.leaves]
+    assert sum(shares[17:]) == pytest.approx(5000.0)
+
+
+MEASURED = """\
+name = "hope"
+scenario = "hope-melpitz"
+seed = 4"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('name = "north"\n', "", "plants[1].name: expected"),
+        ('name = "north"', 'name = "a/b"', "plants[1].name: expected"),
+        ('name = "north"', 'name = "plant"', "plants[1].name: expected a name other"),
+        ('name = "north"', 'name = "west"', "plants[1].name: expected another name"),
+        (SECOND, 'name = "north"', "plants[1].scenario: expected"),
+        (SECOND, 'name = "north"\nscenario = "oahuu"', "plants[1].scenario: "),
+        (SECOND, 'name = "north"\nscenario = "fleet"', "plants[1].scenario: expected plants"),
+        (SECOND, 'name = "north"\nscenario = "none.toml"', "plants[1].scenario: none.toml"),
+        (SECOND, f"{SECOND}\nlat = 21.0", "plants[1].lat: expected lon"),
+        (SECOND, f"{SECOND}\nlat = 91.0\nlon = 0.0", "plants[1].lat: expected"),
+        (SECOND, f"{SECOND}\nlat = 21.0\nlon = nan", "plants[1].lon: expected"),
+        (SECOND, f"{SECOND}\nseed = -1", "plants[1].seed: expected"),
+        (SECOND, f"{SECOND}\nexport_limit_kw = 0", "plants[1].export_limit_kw: expected"),
+        (SECOND, f"{SECOND}\nexport_limit_mw = 5", "plants[1].export_limit_mw: "),
+        (SECOND, MEASURED, "plants[1].seed: expected none with measured data"),
+        ('"plant.delay_s" = 2.0', '"plant.delays" = 2', "plants[1].set: plant.delays: "),
+        ('"plant.delay_s" = 2.0', '"plant.delay_s" = -2', "plants[1].set: plant.delay_s: "),
+        ('"plant.delay_s" = 2.0', '"grid.pmin" = 0.1', "plants[1].scenario: expected grid.pmin"),
+        ('"plant.delay_s" = 2.0', '"plant.inverters" = "no.csv"', "plants[1].scenario: no.csv"),
+        ("[commitment]", "[plant]\nrating_kw = 10\n\n[commitment]", "plant.rating_kw: expected"),
+        ("[commitment]", "[pv]\ntilt_deg = 1\n\n[commitment]", "pv: expected none in a fleet"),
+        (PLANTS, "[[plants]]\n", "plants[0].name: expected"),
+        (PLANTS, "", "plant: expected table"),
+    ],
+)
+def test_a_wrong_plant_is_refused_in_one_line(
+    folder: Folder, old: str, new: str, complaint: str
+) -> None:
+    folder.change(old, new)
+    found = folder.complaint()
+    assert complaint in found, found
+    assert "\n" not in found
