@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, pairwise, takewhile
+from itertools import pairwise, takewhile
 from math import fsum
 from typing import Final
 
@@ -52,7 +52,7 @@ class ControlTree:
     plants: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for objection in chain(self._objections(), self._fleet_objections()):
+        for objection in self._objections():
             raise InputError(f"control tree: {objection}")
 
     def _objections(self) -> Iterator[str]:
@@ -77,16 +77,6 @@ class ControlTree:
             if len(children) > MOST_CHILDREN:
                 expected = f"up to {MOST_CHILDREN:,} children, or a tier between"
                 yield f"{agent_name(path)}: expected {expected}, got {len(children):,}"
-
-    def _fleet_objections(self) -> Iterator[str]:
-        for name, limit_kw in self.plants:
-            if self.is_leaf(name):
-                yield f"{name}: expected a plant with inverters, got none"
-            if not 0.0 < limit_kw <= LARGEST_RATING_KW:
-                yield f"{name}: export_limit_kw: expected above 0, got {limit_kw:g}"
-        outside = [one for one in self.leaves if one.partition("/")[0] not in dict(self.plants)]
-        if self.plants and outside:
-            yield f"{outside[0]}: expected each inverter of a fleet in a plant"
 
     @cached_property
     def _children_of(self) -> dict[str, tuple[str, ...]]:

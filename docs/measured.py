@@ -10,6 +10,7 @@ of tables too, such as plant-meter, only those.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections import Counter
@@ -21,6 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 import pandas as pd
 from msgspec.structs import replace as replace_fields
@@ -39,10 +41,12 @@ from recordings.read.series import RunSeries
 from results.answers import Answer, answer, answers
 from results.figures import energy_figures, run_figures
 from results.regulation import requests_fulfilled
+from scenarios.fleet import SEEDS_APART
 from scenarios.preparation import Preparation, prepare
 from scenarios.run_options import RunOptions
 from scenarios.scenario import DcCurrents, MeasuredIrradiance, ScenarioFile
 from scenarios.settings import with_settings
+from sim_plant.meters import Meters
 from sim_plant.profile import Profile
 from studies.arrays.closed_loop import run_loop
 from studies.arrays.schemes import reference_groups, run_scheme
@@ -1035,16 +1039,20 @@ def firm_promises() -> Lines:
     yield ["battery, minutes at 25 % of the rating", "help between inverters", "firm promise %"]
     for minutes in MINUTES:
         for has_help in (False, True):
-            kept, missed = 0, 100
-            while missed - kept > 1:
-                percent = (kept + missed) // 2
-                runs = [
-                    missed_under(day, percent / 100.0, minutes, has_help=has_help) for day in days
-                ]
-                shares_missed = np.concatenate(runs)
-                is_kept = np.mean(shares_missed <= MISSED_SHARE) >= 0.95
-                kept, missed = (percent, missed) if is_kept else (kept, percent)
+            under = partial(missed_under, minutes=minutes, has_help=has_help)
+            kept = firm_percent(days, under)
             yield [minutes, "with" if has_help else "without", kept]
+
+
+def firm_percent(days: Sequence[Preparation], missed: Callable[[Preparation, float], Any]) -> int:
+    """Return the promise, in % of clear sky, of which enough is there in 95 % of the quarters."""
+    kept, lost = 0, 100
+    while lost - kept > 1:
+        percent = (kept + lost) // 2
+        shares_missed = np.concatenate([missed(day, percent / 100.0) for day in days])
+        is_kept = np.mean(shares_missed <= MISSED_SHARE) >= 0.95
+        kept, lost = (percent, lost) if is_kept else (kept, percent)
+    return kept
 
 
 def hard_promises() -> Lines:
@@ -1074,14 +1082,14 @@ def with_battery(plan: RunPlan, minutes: int) -> RunPlan:
     return replace_fields(plan, storages=(battery,) if minutes else ())
 
 
-def missed_under(day: Preparation, share: float, minutes: int, *, has_help: bool) -> Any:
+def missed_under(day: Preparation, share: float, minutes: int = 0, *, has_help: bool = True) -> Any:
     """Return which share of its energy is missing of each quarter hour under a promise."""
     plan = with_battery(day.plan, minutes)
     wanted_kw = share * day.profile.commitment_kw
     profile = replace(day.profile, commitment_kw=wanted_kw, regulation_kw=np.zeros_like(wanted_kw))
     if has_help:
         run = run_loop(plan, profile, "predictive", "limit")
-        given_kw = run.power_kw.sum(axis=1) + run.storage_power_kw.sum(axis=1)
+        given_kw = Meters(plan).fed_in_kw(run.power_kw, run.storage_power_kw)
     else:
         given_kw = without_help_kw(plan, profile)
     missing_kw = np.maximum(profile.commitment_kw - given_kw, 0.0)
@@ -1111,6 +1119,63 @@ def without_help_kw(plan: RunPlan, profile: Profile) -> np.ndarray:
     return given_kw
 
 
+# docs/fleet.md
+
+FLEET_DAYS: Final = range(1, 1 + int(os.environ.get("DAYS", "30")))
+LINKS_MS: Final = (50, 200, 1000)
+REPORTS: Final = ("impp", "residual")
+
+
+def fleet_days(places: Sequence[int]) -> list[Preparation]:
+    """Return days of some plants of the fleet, without storages, under a clear-sky promise."""
+    plants = msgspec.to_builtins(load_scenario("fleet").scenario.plants)
+    for place, plant in enumerate(plants):  # The same history wherever a plant is in the list.
+        plant["seed"] = 6 + SEEDS_APART * place
+    wanted = {"kind": "share-of-clear-sky", "share": 1.0}
+    changes = [("plants", [plants[place] for place in places]), ("commitment", wanted)]
+    days = [
+        prepare(
+            with_settings(load_scenario("fleet"), changes),
+            RunOptions(seed=seed + SEEDS_APART * places[0], **PROMISE_HOURS),
+            "fleet",
+        )
+        for seed in FLEET_DAYS
+    ]
+    return [replace(day, plan=replace_fields(day.plan, storages=())) for day in days]
+
+
+def pooling() -> Lines:
+    """Write what a fleet needs under the scenario's promise, beside its plants on their own."""
+    fleet = load_scenario("fleet").scenario
+    names = ("unavoidable-energy", "control-caused-energy", "battery-power", "battery-energy")
+    units = ("unavoidable kWh", "control-caused kWh", "battery kW", "battery kWh")
+    yield ["plants", "firm promise %", *units]
+    every, alone = [*range(len(fleet.plants))], []
+    for places in (*([place] for place in every), every):
+        days, means = fleet_days(places), []
+        for day in days:
+            wanted_kw = fleet.commitment.share * day.profile.commitment_kw
+            profile = replace(day.profile, commitment_kw=wanted_kw)
+            figures = run_figures(run_scheme("predictive", day.plan, profile, "limit")[0])
+            means.append([figures[name] for name in names])
+        alone.append(np.mean(means, axis=0))
+        if places == every:
+            yield ["all, each alone", "", *(f"{kw:.1f}" for kw in np.sum(alone[:-1], axis=0))]
+        title = "the fleet" if places == every else fleet.plants[places[0]].name
+        yield [title, firm_percent(days, missed_under), *(f"{kw:.1f}" for kw in alone[-1])]
+
+
+def links_between_plants() -> Lines:
+    """Write what a slow link between the plants and their controller costs."""
+    ways = "source=central,signal=setpoint", *(f"listener=central,signal={s}" for s in REPORTS)
+    rules = [";".join(f"{way},delay={delay_ms}ms" for way in ways) for delay_ms in LINKS_MS]
+    rows = compare("fleet", schemes=["predictive"], faults=["none", *rules], workers=WORKERS)
+    yield ["link ms", "missed %", "control-caused %", "given too much %", "RMSE kW"]
+    for delay_ms, run in zip((0, *LINKS_MS), rows.to_dict("records"), strict=True):
+        names = ("shortfall", "control-caused", "over-delivered")
+        yield [delay_ms, *(f"{run[name]:.3f}" for name in names), f"{run['rmse']:.0f}"]
+
+
 Tables = dict[str, Callable[[], Lines]]
 
 SYNTHETIC: Final[dict[str, Tables]] = {
@@ -1129,6 +1194,7 @@ SYNTHETIC: Final[dict[str, Tables]] = {
     },
     "offers.md": {"offers": offers},
     "storage.md": {"firm promise": firm_promises, "hard skies": hard_promises},
+    "fleet.md": {"pooling": pooling, "links": links_between_plants},
     "orders.md": {"commissioning": commissioning},
     "clusters.md": {
         "oahu": lambda: clusters({"oahu": ("oahu", {})}),

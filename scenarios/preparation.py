@@ -168,7 +168,7 @@ def prepare(
             regulation, regulation_notes = regulation_kw(offer, times, zone, data_path)
         frequency, frequency_notes = _frequency_hz(scenario_file, scenario, times)
     plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
-    remarks = [*remarks_on_time, *_too_much(commitment, plan.tree), *day.remarks]
+    remarks = [*remarks_on_time, *day.remarks, *_too_much(commitment, plan.tree)]
     remarks += regulation_notes + frequency_notes
     hides_maximum = plan.control.actuator == "limit" and not plan.site.states_all
     if plan.grid_law.reserve_kw > 0.0 and hides_maximum:

@@ -75,7 +75,8 @@ class Plant:
         schedule_kw = float(profile.commitment_kw[0]), float(profile.regulation_kw[0])
         dispatch = self._orders.scheduled(BEFORE_RUN, *schedule_kw)
         state = self._inverters.uncurtailed(profile.mpp_kw[0], dispatch)
-        state = replace(state, stores=self._storages.at_rest())
+        memories = (None,) * len(self._memories)
+        state = replace(state, stores=self._storages.at_rest(), memories=memories)
         if self._offers is None:
             return state
         first_share = self._offers.first_share
@@ -132,8 +133,8 @@ class Plant:
     def _metered(self, state: PlantState, turn: Turn) -> Iterator[Delivery]:
         stored_kw = [store.power_kw for store in state.stores]
         readings_kw = self._meters.readings_kw(state.power_kw.tolist(), stored_kw)
-        memories = state.memories or (None,) * len(readings_kw)
-        for port, power_kw, memory in zip(self._memories, readings_kw, memories, strict=True):
+        found = zip(self._memories, readings_kw, state.memories, strict=True)
+        for port, power_kw, memory in found:
             meter = Meter(*turn.stamp, power_kw=power_kw)
             if port.node == ROOT:
                 meter.frequency_hz = self._profile.frequency_at(max(turn.cycle, 0))
@@ -184,10 +185,8 @@ class Plant:
         if stores:
             production.storage_power_kw = tuple(store.power_kw for store in stores)
             production.storage_energy_kwh = tuple(store.energy_kwh for store in stores)
-        before = state.memories or (None,) * len(self._memories)
-        memories = tuple(
-            turn.get(port) or last for port, last in zip(self._memories, before, strict=True)
-        )
+        stated = zip(self._memories, state.memories, strict=True)
+        memories = tuple(turn.get(port) or last for port, last in stated)
         memory = memories[0]
         record = state.record if memory is None or memory.record is None else memory
         state = replace(state, power_kw=power_kw, memories=memories, record=record, stores=stores)
