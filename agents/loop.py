@@ -66,6 +66,7 @@ class Loop(Generic[S]):
         self._state = agent.initial_state()
         self._stages: tuple[Stage, ...] = ()
         self._position = 0
+        self._sim_time_ns = 0
         self._ready_ns = 0
 
     @property
@@ -199,6 +200,7 @@ class Loop(Generic[S]):
 
     def _go_to(self, cycle: int, now_ns: int) -> None:
         self.cycle = cycle
+        self._sim_time_ns = self.times.timing.sim_time_ns(cycle)
         self._position = 0
         self._stages = () if self.finished else self.agent.stages(cycle)
         self.inputs.go_to(cycle)
@@ -228,7 +230,7 @@ class Loop(Generic[S]):
             self._ready_ns = now_ns if deadline_ns is None else deadline_ns
             self.inputs.missing += len(self.waiting)
         inputs, missing = self.inputs.used(stage, cycle)
-        sim_time_ns = self.times.timing.sim_time_ns(cycle)
+        sim_time_ns = self._sim_time_ns
         # The bus adds when each message goes out, and its number.
         name, incarnation = self.agent.name, self.incarnation
         stamp = (cycle, sim_time_ns, name, missing, self._ready_ns, 0, 0, incarnation)

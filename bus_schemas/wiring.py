@@ -16,7 +16,7 @@ from typing import Final
 import msgspec
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import COMMAND, IMPP, TELEMETRY, Port, Signal, listeners, ports
+from bus_schemas.signals import COMMAND, TELEMETRY, Port, Signal, listeners, ports
 from bus_schemas.tree import (
     OPERATOR,
     RECORDER,
@@ -180,15 +180,9 @@ class Wiring:
             found.setdefault(port.signal, Counter()).update((port.node, *ancestors(port.node)))
         return found
 
-    def alive_key(self, agent: str) -> str:
-        return f"{self.plant}/{agent}/alive"
-
-    def alive_keys(self, process: str) -> list[str]:
-        """Return key expressions of the tokens of a process's agents and of no others."""
-        members = self.members[process]
-        if len(members) == self._below[IMPP][process] > 1:
-            return [self.alive_key(f"{process}/**")]
-        return [self.alive_key(name) for name in members]
+    def alive_key(self, process: str) -> str:
+        """Return the key of a process's liveliness token: one for all its agents."""
+        return f"{self.plant}/{process}/alive"
 
     def links(self) -> Links:
         """Return a link for each pair of processes of which one publishes what the other hears."""

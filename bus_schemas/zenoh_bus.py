@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
-from typing import Any, Final, Self, TypeAlias
+from typing import Any, Final, NamedTuple, Self, TypeAlias
 
 import zenoh
 
@@ -40,11 +40,26 @@ _MANY: Final = 30
 """From this many ports of a signal on, a process declares one wildcard: a session tells every peer
 of each declaration, which among 1,000 inverters would be a million messages."""
 
+_MOST_BUNDLED: Final = 80
 _LARGEST_BUNDLE: Final = SUBSCRIBER_BATCH_BYTES - 512
-"""A larger one would travel to the recorder in fragments, so it is sent as two [bytes]."""
+"""Messages of a bundle, and bytes: a larger one would travel to the recorder in fragments, so it is
+sent as two."""
 
 _SHORTEST_S: Final = 0.01
 """Shortest time-out of a query."""
+
+
+class _Route(NamedTuple):
+    """Where the messages of a port go.
+
+    name: The key without the plant's name.
+    bundle: What its bundle holds so far; None: each message goes out by itself.
+    hearers: Agents of the same process.
+    """
+
+    name: str
+    bundle: list[tuple[str, Message]] | None
+    hearers: tuple[str, ...]
 
 
 class ZenohBus:
@@ -82,15 +97,20 @@ class ZenohBus:
         self._newest: dict[Port[Message], Message] = {}
         self._sessions = Sessions(wiring, settings)
         self.watch_tokens = self._sessions.watch_tokens
-        self._bundle_of = {
-            port: bundle
-            for bundle in wiring.bundles
-            if bundle.source == process
-            for port in bundle.ports.values()
-        }
-        self._puts = self._declare_publishers(process, settings)
         # Messages that are to go out together: before the next single one, and before a wait.
-        self._bundled: dict[Bundle, list[tuple[str, Message]]] = {}
+        self._bundled: dict[Bundle, list[tuple[str, Message]]] = {
+            bundle: [] for bundle in wiring.bundles if bundle.source == process
+        }
+        bundle_of = {port: bundle for bundle in self._bundled for port in bundle.ports.values()}
+        self._puts = self._declare_publishers(process, settings, bundle_of)
+        self._routes = {
+            port: _Route(
+                str(port),
+                self._bundled[bundle_of[port]] if port in bundle_of else None,
+                tuple(self._hearers.get(port, ())),
+            )
+            for port in wiring.carried[process, RECORDER]
+        }
         self._declare_subscribers(process)
         if settings.lockstep:
             self._sessions.kept += (
@@ -99,7 +119,7 @@ class ZenohBus:
                 )
                 for session in self._sessions.all
             )
-        self._sessions.show_tokens(wiring.members[process])
+        self._sessions.show_token(process)
 
     def __enter__(self) -> Self:
         return self
@@ -108,7 +128,7 @@ class ZenohBus:
         self._sessions.close()
 
     def _declare_publishers(
-        self, process: str, settings: SessionSettings
+        self, process: str, settings: SessionSettings, bundle_of: Mapping[Port[Message], Bundle]
     ) -> dict[Source, list[Put]]:
         """Return what puts the messages of each port, for agents and then for devices."""
         wiring = self._wiring
@@ -116,7 +136,7 @@ class ZenohBus:
         published = wiring.carried[process, RECORDER]
         many = _signals_of_many(published)
         puts: dict[Source, list[Put]] = {}
-        for source in dict.fromkeys(self._bundle_of.get(port, port) for port in published):
+        for source in dict.fromkeys(bundle_of.get(port, port) for port in published):
             # The session for devices carries only what they hear; the recorder hears all.
             hearers = wiring.listeners[source] if isinstance(source, Port) else source.sinks
             hears_there = not devices.isdisjoint({RECORDER, *hearers})
@@ -164,20 +184,20 @@ class ZenohBus:
         self.outbox.stamp(port, message, now_ns)
         if self._lockstep:
             self._newest[port] = message
-        bundle = self._bundle_of.get(port)
+        name, bundle, hearers = self._routes[port]
         if bundle is None:
-            if self._bundled:  # So the recorder knows no less than others.
-                self.send_bundles()
+            self.send_bundles()  # So the recorder knows no less than others.
             self._send(port, encode(message))
         else:
-            self._bundled.setdefault(bundle, []).append((str(port), message))
-        for agent in self._hearers.get(port, ()):
+            bundle.append((name, message))
+        for agent in hearers:
             self._own.append(Arrival(agent, port, message, now_ns))
 
     def send_bundles(self) -> None:
         for bundle, messages in self._bundled.items():
-            self._send_bundle(bundle, messages)
-        self._bundled.clear()
+            for begin in range(0, len(messages), _MOST_BUNDLED):
+                self._send_bundle(bundle, messages[begin : begin + _MOST_BUNDLED])
+            messages.clear()
 
     def _send_bundle(self, bundle: Bundle, messages: Sequence[tuple[str, Message]]) -> None:
         payload, half = encode_bundle(messages), len(messages) // 2

@@ -185,7 +185,7 @@ def _keep_from_lingering(ports: Set[int], is_over: threading.Event, every_s: flo
 
 
 class TokenWatch:
-    """The liveliness tokens of all agents."""
+    """The liveliness tokens of all processes."""
 
     def __init__(self, key: str, sessions: Sequence[zenoh.Session]) -> None:
         self._alive: set[str] = set()
@@ -236,12 +236,9 @@ class Sessions:
     def watch_tokens(self) -> TokenWatch:
         return TokenWatch(self._wiring.alive_key("**"), self.all)
 
-    def show_tokens(self, members: Sequence[str]) -> None:
-        self.kept += (
-            session.liveliness().declare_token(self._wiring.alive_key(name))
-            for session in self.all
-            for name in members
-        )
+    def show_token(self, process: str) -> None:
+        key = self._wiring.alive_key(process)
+        self.kept += (session.liveliness().declare_token(key) for session in self.all)
 
     def close(self) -> None:
         """Close the sessions: an open one can hang the interpreter's exit."""
@@ -273,7 +270,7 @@ class RunSubscriber:
             )
             for session in self._sessions.all
         ]
-        self._sessions.show_tokens([agent])
+        self._sessions.show_token(agent)
 
     def __enter__(self) -> Self:
         return self

@@ -74,9 +74,9 @@ def _lead(process: AgentProcess) -> None:
 
 
 def _await_all(process: AgentProcess) -> None:
-    """Wait until all agents are on the bus, or the launcher gives up."""
+    """Wait until all processes are on the bus, or the launcher gives up."""
     alive_key = process.plan.wiring.alive_key
-    others = {alive_key(agent) for agent in process.plan.agents if agent != PLANT}
+    others = {alive_key(name) for name in process.plan.processes if name != PLANT}
     tokens = process.watch_tokens()
     while not others <= tokens.alive():
         process.beat()

@@ -225,7 +225,10 @@ class AgentProcess:
 
     def catch_up(self) -> None:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""
-        publishers = {self.plan.wiring.alive_key(port.publisher) for port in self._bus.heard}
+        wiring = self.plan.wiring
+        publishers = {
+            wiring.alive_key(wiring.process_of(port.publisher)) for port in self._bus.heard
+        }
         tokens, loops = self.watch_tokens(), self.driver.loops
         while self.loop.cycle < 0 and not (self.link.dismissed or self.plant_is_gone()):
             if publishers <= tokens.alive():

@@ -150,10 +150,10 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
     listens += ["declare_queryable", "query"]
     of_all = [
         add("subscriptions", ["ingress", "egress"], listens, [f"{wiring.plant}/**"]),
-        add("own token", ["egress"], ["liveliness_token"], wiring.alive_keys(agent)),
+        add("own token", ["egress"], ["liveliness_token"], [wiring.alive_key(agent)]),
     ]
     for peer in links.peers(agent):
-        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], wiring.alive_keys(peer))]
+        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [wiring.alive_key(peer)])]
         if heard := between(peer, agent):
             own.append(add(f"from {peer}", ["ingress"], ["put", "reply"], heard))
         if published := between(agent, peer):

@@ -110,7 +110,8 @@ class Recorder:
         self._nap_s = _SHORT_NAP_S if is_exact else _NAP_S
         self._closing = Closing(has_others=bool(plan.elsewhere))
         self._tokens = subscriber.watch_tokens() if plan.elsewhere else None
-        self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
+        wiring = plan.wiring
+        self._agents_of = {wiring.alive_key(name): of for name, of in wiring.members.items()}
         self._listener = RunListener(plan, writer, link.tell, now_ns, joins_late=link.starts > 0)
 
     def run(self) -> None:
@@ -162,8 +163,9 @@ class Recorder:
         progress = self._listener.progress
         if self._tokens is not None and progress.stop_cycle is None:  # At the end all of them go.
             for key, alive in self._tokens.changes():
-                if (agent := self._agent_of.get(key)) is not None:
-                    self._link.tell(Presence(agent, alive, progress.newest_cycle))
+                for agent in self._agents_of.get(key, ()):
+                    if agent in self._plan.elsewhere:
+                        self._link.tell(Presence(agent, alive, progress.newest_cycle))
         self._link.tell(self._listener.status())
 
     def _account(self) -> Recorded:

@@ -110,16 +110,3 @@ def test_a_bundle_holds_what_a_group_says_to_itself_or_exchanges_with_a_plant_of
         beyond = with_plant and len(ends) == 2 and ends - {*groups} == {"plant"}
         is_held = port.signal.is_cyclic and (inside or beyond)
         assert (port in held) == bool(is_held), port
-
-
-def test_a_process_shows_the_tokens_of_its_agents_and_no_others() -> None:
-    groups = dict.fromkeys(("c9", "c9/i1"), "c9") | {"z1/c11/i1": "z1", "z1": "z1"}
-    wiring = Wiring("tall", TALL, groups)
-    for process in wiring.members:
-        shown = [zenoh.KeyExpr(expr) for expr in wiring.alive_keys(process)]
-        found = {
-            agent
-            for agent in TALL.agents()
-            if any(one.includes(zenoh.KeyExpr(wiring.alive_key(agent))) for one in shown)
-        }
-        assert found == {*wiring.members[process]}
