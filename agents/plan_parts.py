@@ -16,7 +16,6 @@ from agents.cycle import Periods
 from agents.device_faults import DeviceFault
 from agents.device_profile import PLAIN, DeviceProfile
 from agents.faults import Fault
-from agents.process.machine import MachineSettings
 from agents.settings import (
     Actuator,
     InverterSettings,
@@ -265,4 +264,4 @@ class Supervision(msgspec.Struct, frozen=True, kw_only=True):
 
     restart: RestartPolicy = RestartPolicy()
     groups: tuple[str, ...] = ()
-    machine: MachineSettings = MachineSettings()
+    priority: int = 0

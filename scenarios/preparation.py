@@ -48,7 +48,7 @@ from scenarios.elsewhere import (
 from scenarios.fault_rules import fault_rules
 from scenarios.fleet import Member, members, named_plant
 from scenarios.power_sources import power_source
-from scenarios.real_time import cycle_wall_ns, machine_settings, parse_pace, process_groups
+from scenarios.real_time import cycle_wall_ns, parse_pace, process_groups
 from scenarios.run_options import RunOptions
 from scenarios.scenario import CloudIrradiance, Scenario, ScenarioFile, local_start
 from scenarios.times import LONGEST_S, Cycle, When, on_day, parse_duration_s, parse_moment
@@ -372,7 +372,7 @@ def _plan(
         ),
         supervision=Supervision(
             restart=scenario.restart,
-            machine=machine_settings(options.cpus or (), options.priority),
+            priority=options.priority or 0,
             groups=groups,
         ),
         grid=scenario.grid,
