@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import DEFAULT_BUFFER_SIZE
 from pathlib import Path
 
 import pytest
@@ -38,7 +39,8 @@ def long_cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_next_recorder_reads_the_beginning_of_a_long_recording_alone(long_cut: Path) -> None:
     before = bytes_read()
     path, anchor = next_file(long_cut)
-    assert bytes_read() - before < 100_000 < long_cut.stat().st_size / 100
+    few = max(100_000, 3 * DEFAULT_BUFFER_SIZE)  # Of Python 3.14 a buffer alone has more.
+    assert bytes_read() - before < few < long_cut.stat().st_size / 20
     assert path == long_cut.with_name("run-2.mcap")
     assert anchor == ClockAnchor(5, 1_700_000_000_000_000_000)
 
