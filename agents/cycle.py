@@ -107,7 +107,7 @@ def _parts_up_to(place: int) -> int:
 class Periods:
     """How often the parents of each tier act: their periods in cycles, the central one's first.
 
-    A parent sends setpoints only in its turns. Every agent reports upwards in every cycle.
+    A parent sends setpoints only when it acts. Every agent reports upwards in every cycle.
     """
 
     cycles: tuple[int, ...]
@@ -120,7 +120,7 @@ class Periods:
                 raise InputError.of(where, f"expected a positive multiple of {below}, got {period}")
             below = period
 
-    def is_turn(self, parent: str, cycle: int) -> bool:
+    def acts(self, parent: str, cycle: int) -> bool:
         """Whether a parent acts in a cycle. In arming rounds (below 0) all parents do."""
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
 

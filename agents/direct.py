@@ -57,8 +57,8 @@ class LeafController:
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns it waits for its device alone."""
-        is_turn = self._control.periods.is_turn(self._parent, cycle)
-        return self._with_parent if is_turn else self._alone
+        parent_acts = self._control.periods.acts(self._parent, cycle)
+        return self._with_parent if parent_acts else self._alone
 
 
 class DirectController(LeafController):

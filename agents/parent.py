@@ -242,9 +242,9 @@ class Supervisor(Parent):
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the newest setpoint holds."""
-        if not self._control.periods.is_turn(self.name, cycle):
+        if not self._control.periods.acts(self.name, cycle):
             return self._alone[:1]
-        parent_acts = self._control.periods.is_turn(parent_of(self.name), cycle)
+        parent_acts = self._control.periods.acts(parent_of(self.name), cycle)
         return self._with_parent if parent_acts else self._alone
 
     def step(
@@ -369,7 +369,7 @@ class CentralController(Parent):
         state = self._feedback.read(state, turn.get(self._meter))
         state, notices = self._follow_dispatch(state, turn)
         outputs = [*self.report_up(turn, reports), *offered, *notices]
-        if turn.get(_DISPATCH) is not None and self._control.periods.is_turn(ROOT, turn.cycle):
+        if turn.get(_DISPATCH) is not None and self._control.periods.acts(ROOT, turn.cycle):
             late = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
             wanted_kw = self._wanted_kw(state, turn, possible_kw)
             state, target_kw = self._feedback.target_kw(state, wanted_kw, possible_kw, late)

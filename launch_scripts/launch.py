@@ -44,15 +44,14 @@ from scenarios.preparation import Preparation
 from sunspec.process import GatewayProcess, PlantUnitProcess
 
 _END_S: Final = 5.0
-"""Once the run is over: how long nothing may come from processes that are to end, and once more
-after each step that is to end them."""
+"""After a run: how long processes may take to end, and again after each step to end them."""
 
 _STOP_S: Final = 5.0
-"""How long the plant may take to end the run after Ctrl-C, and two cycles more."""
+"""How long the plant may take to end the run after Ctrl-C, beside two cycles."""
 
 _GATHER_S: Final = 0.5
-"""After the first event of a stall, beside the time that each agent waits before it says so: for
-the others to say what they wait for. Live processes that merely wait must not be killed."""
+"""After the first event of a stall: for others to say what they wait for, so that none that merely
+waits is killed."""
 
 _LONGEST_PARENT: Final = 70
 """Of the folder of sockets: a socket's path has 107 characters at most."""
@@ -88,7 +87,6 @@ class _Launch:
         return self.preparation.plan
 
     def run(self) -> RunDocument:
-        """Start the processes, see them through the run, compare what they say at its end."""
         processes, plan, folder = self.processes, self._plan, self.folder
         self.view.say(f"starting {len(processes.own)} processes, logs in {folder.logs}")
         external_s = self.preparation.options.external_timeout_s
@@ -141,7 +139,6 @@ class _Launch:
         )
 
     def _arm(self, external_s: float) -> None:
-        """See the processes onto the bus, and to the beginning of cycle 0."""
         processes = self.processes
         began_at = time.monotonic()
         while not processes.has_begun:
@@ -161,7 +158,6 @@ class _Launch:
         self.view.say(f"armed: cycle 0 began {took_s:.2f} s after the processes were started")
 
     def _follow(self) -> None:
-        """Show the run until the plant says that it is over."""
         while not self._is_over():
             self._look()
             self._check_stall()
@@ -180,7 +176,6 @@ class _Launch:
         return self.over is not None or (self.stop_asked_at is not None and not left)
 
     def _look(self) -> list[tuple[Process, Event]]:
-        """Take in what has happened; return what the processes have said."""
         heard = self.processes.look()
         for process, event in heard:
             self._hear(process, event)
@@ -286,7 +281,7 @@ class _Launch:
             step(left)
 
     def _leave(self, some: Sequence[Process]) -> None:
-        """Leave processes to the end of the fork server, which does not say that they ended."""
+        """Leave processes to the fork server's end, which does not say that they ended."""
         if "fork server" in self.given_up:
             return
         server = self.processes.server.name

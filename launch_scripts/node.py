@@ -16,7 +16,6 @@ from launch_scripts.run_folder import RunFolder
 
 
 def share_of(plan: RunPlan, host: str) -> tuple[str, ...]:
-    """Return the processes that a plan has for a host."""
     agents = tuple(name for name in plan.processes if plan.access.addresses.get(name) == host)
     if not agents:
         hosts = ", ".join(dict.fromkeys(plan.access.addresses.values()))

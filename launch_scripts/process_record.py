@@ -1,4 +1,4 @@
-"""What the launcher knows of one process: its state, its last events and its beat."""
+"""The launcher's record of one process."""
 
 from __future__ import annotations
 
@@ -33,7 +33,6 @@ class Process:
     waiting, finished, recorded, failed, exited: The newest event of each kind.
     begins_at_s: When it is to be started again, monotonic [s]; inf: it is not.
     starts_s: When it was started again, monotonic [s].
-    stays_away: Whether it is not started again.
     beat_at_s, moved_at_s: When its newest beat, and the cycle in it, were first seen.
     gone_at_s: When an external agent disappeared without which the run cannot go on.
     """
@@ -75,11 +74,10 @@ class Process:
 
     @property
     def is_through(self) -> bool:
-        """Whether it has come to the end of the run, or of itself."""
         return bool(self.finished or self.recorded or self.exited)
 
     def begin_again(self) -> None:
-        """Forget all events of the process that has ended, but not its processor time."""
+        """Forget the process that has ended, but not its processor time."""
         self.cpu_before_s = -(self.cpu_in_run_s() or 0.0)
         self.pid = 0
         self.waiting = self.finished = self.recorded = self.failed = self.exited = None

@@ -1,8 +1,7 @@
 """The owner of a run's processes: it starts, watches and ends them.
 
 A process lives if it beats. Time counts only while the launcher itself runs: a launcher or a
-machine that stood still proves nothing. External agents have no beat: the recorder sees their
-liveliness tokens, and that is all that is known of them.
+machine that stood still proves nothing. Of external agents only the liveliness token is known.
 """
 
 from __future__ import annotations
@@ -54,30 +53,29 @@ _LARGEST_READ: Final = 1 << 18
 _LARGEST_EVENT: Final = 1 << 16
 
 _LONGEST_STEP_S: Final = 0.5
-"""Between two looks of the launcher no more than this counts."""
+"""The most time that counts between two looks of the launcher."""
 
 _LOOK_S: Final = 0.2
 
 START_S: Final = 10.0
-"""Before cycle 0: how long nothing may move, neither a process that comes onto the bus nor an agent
-that answers for the first time. While others move, a busy machine may take its time."""
+"""Before cycle 0: how long no process may come onto the bus and no agent answer for the first time.
+While others move, a busy machine may take its time."""
 
 SILENT_S: Final = 5.0
-"""From when on the fork server counts as standing still; the plant, after twice that."""
+"""A fork server without a beat for this time stands still; a plant, after twice that."""
 
 _SPARE_S: Final = 1.0
-"""Beyond the time in which a dead link is closed and opened anew by itself: for the first messages
-to come."""
+"""For the first messages over a link that was closed and opened anew."""
 
 GONE_S: Final = 2.0
-"""How long a run waits for the return of an external agent without which it cannot go on."""
+"""How long a run waits for an external agent without which it cannot go on."""
 
 _RETURN_S: Final = 10.0
 """In lockstep: how long a process that was started again may take to join."""
 
 _KILLS_APART_S: Final = 1.0
-"""Time between two kills of processes that no signal has stopped. On a machine that is too busy,
-where each death makes more work, many healthy ones seem dead at once."""
+"""Time between two kills of processes that no signal has stopped. On an overloaded machine many
+healthy ones seem dead at once, and each death makes more work."""
 
 _SAME_CLOCK_S: Final = 10.0
 """If cycle 0 began farther from now, it was by the clock of another host."""
@@ -92,11 +90,9 @@ class Processes:
 
     say: Shows a line to the user.
 
-    table: Where they beat.
     ran_s: How long the launcher has run [s].
     given_up: Processes that are not started again, and the plant's cycle at that time.
-    never_heard: Before cycle 0: agents that have not answered yet, as far as the recorder names
-        them, and how many there are.
+    never_heard: Before cycle 0: some agents that have not answered yet, and their number.
     """
 
     def __init__(
@@ -159,7 +155,7 @@ class Processes:
         return self._by_name[name]
 
     def __contains__(self, name: str) -> bool:
-        """Whether a process is the launcher's own."""
+        """Whether it is a process of the launcher's own."""
         return name in self._by_name and not self._by_name[name].is_external
 
     @property
@@ -178,7 +174,7 @@ class Processes:
 
     @property
     def lost_any(self) -> bool:
-        """Whether a process has ended that could not say what it had published."""
+        """Whether a process ended without saying what it had published."""
         return any(one.starts_s or one.was_killed for one in self.own) or bool(self.given_up)
 
     # Beginning and end --------------------------------------------------------------------------
@@ -202,7 +198,7 @@ class Processes:
         return self._begun_at_s < inf
 
     def end(self) -> None:
-        """Start no more processes: the run is over."""
+        """Start no more processes."""
         self._is_over = True
         for process in self.own:
             process.begins_at_s = inf
@@ -213,13 +209,11 @@ class Processes:
         self.table.expect(messages)
 
     def ask_to_end(self, some: Iterable[Process]) -> None:
-        """Let processes end in order, also those that did not hear that the run is over."""
         for process in some:
             process.asked_to_end = True
             self.table.dismiss(process.name)
 
     def end_by_force(self, some: Iterable[Process]) -> None:
-        """Kill processes that do not end with the run."""
         for process in some:
             self._say(f"{process.name} (process {process.pid}) did not end with the run: killed")
             if not process.is_through:
@@ -233,10 +227,7 @@ class Processes:
         is_done: Callable[[Process], bool] = has_exited,
         look: Callable[[], list[tuple[Process, Event]]] | None = None,
     ) -> list[Process]:
-        """Wait until processes are done or send no events any more; return those not done.
-
-        look: Called again and again in place of `look`, whose result it returns.
-        """
+        """Wait until processes are done or send no events any more; return those not done."""
         until = time.monotonic() + timeout_s
         while left := [process for process in some if not is_done(process)]:
             if any(process in some for process, _ in (look or self.look)()):
@@ -248,7 +239,7 @@ class Processes:
     # What they say ------------------------------------------------------------------------------
 
     def look(self, timeout_s: float = 0.1) -> list[tuple[Process, Event]]:
-        """Take in what the processes say within a time, do what is due, and return what they said.
+        """Take in what the processes say, do what is due, and return what they said.
 
         Raises FailureError: the run cannot go on.
         """
@@ -327,7 +318,6 @@ class Processes:
     def _said(
         self, process: Process, *, to_the_end: bool = False
     ) -> Iterator[tuple[Process, Event]]:
-        """Yield what a process has said on its socket; `to_the_end`: it has ended."""
         while process.link is not None:
             try:
                 data = process.link.recv(_LARGEST_READ)
@@ -377,7 +367,6 @@ class Processes:
 
     @property
     def awaited(self) -> list[str]:
-        """Return the agents elsewhere that have not been seen."""
         return [
             one.name
             for one in self._by_name.values()
@@ -408,7 +397,6 @@ class Processes:
         self._say(f"{name} is back {when}" if was_here else f"{name} is here")
 
     def lost_external(self) -> FailureError | None:
-        """Return whose absence has made the run fail."""
         for one in self._by_name.values():
             if self._now_s() > one.gone_at_s + GONE_S:
                 text = f"{one.name} is gone: the run cannot go on without it"
@@ -426,7 +414,6 @@ class Processes:
         return process.is_there and self.ran_s - process.beat_at_s < SILENT_S
 
     def _judge(self) -> None:
-        """Kill processes that do not live."""
         beat_ns = self.table.read(FORK_SERVER).time_ns
         if beat_ns != self._server_beat[0]:
             self._server_beat = beat_ns, self.ran_s
@@ -468,7 +455,7 @@ class Processes:
         return f"beats and stays in cycle {beat.cycle}" if stuck_s > self._cycle_s + plant_s else ""
 
     def _judge_hearing(self, not_heard: set[str]) -> None:
-        """Start those again that live and that no listener has heard for long."""
+        """Start live processes again that no listener has heard for long."""
         for process in self.own:
             lives = process.is_there and not process.is_through
             if not lives or self.ran_s - process.beat_at_s > 2.0 * BEAT_S:
@@ -481,7 +468,7 @@ class Processes:
                 self._replace_unheard(process, self.ran_s - process.unheard_since_s)
 
     def _replace_unheard(self, process: Process, unheard_s: float) -> None:
-        """Each time a process is started again for it, wait twice as long; at last give it up."""
+        """Kill a process; wait twice as long each time, and give it up at last."""
         policy, in_a_row = self._plan.supervision.restart, process.unheard_in_a_row
         limit_s = self._unheard_s * 2.0**in_a_row
         if unheard_s <= limit_s:
@@ -492,7 +479,7 @@ class Processes:
             process.unheard_in_a_row += 1
 
     def mends(self, to_blame: Sequence[str]) -> bool:
-        """In lockstep: kill those that a stalled run waits for, or wait for their return."""
+        """In lockstep: kill processes that a stalled run waits for, or wait for their return."""
         if self._is_over or PLANT not in self:
             return False
         for name in to_blame:
@@ -506,7 +493,7 @@ class Processes:
         return True
 
     def stuck_start(self) -> FailureError | None:
-        """Return a failure that names the missing, if nothing has moved for long before cycle 0."""
+        """Before cycle 0: return a failure that names the missing, if nothing moves for long."""
         if self.ran_s - self._moved_at_s <= START_S:
             return None
         absent = [one for one in self.own if not one.is_there]
@@ -534,7 +521,7 @@ class Processes:
     # Death --------------------------------------------------------------------------------------
 
     def failure(self, name: str, text: str) -> FailureError:
-        """Return a failure that a process is to blame for, with the last lines of its log."""
+        """Return a failure with the last lines of the log of the process that is to blame."""
         if name not in self:
             return FailureError(f"{text} ({name} is external)")
         log = self[name].log

@@ -39,7 +39,7 @@ Dropped = list[tuple[str, str, int]]
 
 
 def begun(preparation: Preparation, folder: RunFolder, driver: str) -> RunDocument:
-    """Return the document of a run of which nothing has become yet."""
+    """Return the document of a run that begins."""
     plan = preparation.plan
     return RunDocument(
         run_id=plan.run_id,
@@ -64,7 +64,7 @@ def ended(
     *,
     is_complete: bool = True,
 ) -> RunDocument:
-    """Add to a document what recorder and recording say of the run, which has ended.
+    """Add to a document what recorder and recording say of the run.
 
     published: Messages of Heliarch's processes, by signal.
     is_complete: Whether all of these processes have said what they published.
@@ -147,7 +147,6 @@ def _by_signal(gaps: Gaps) -> Counter[str]:
 
 
 def external_account(plan: RunPlan, agent: str, cycles: int, gaps: Gaps) -> ExternalAccount:
-    """Return the account of an external agent from the recording of a run of `cycles` cycles."""
     own = {port: one for port, one in gaps.items() if port.publisher == agent}
     due = {port: -(-cycles // step) for port in own if (step := due_step(plan, port))}
     return ExternalAccount(

@@ -17,7 +17,7 @@ from sim_plant.profile import PROFILE_NAME
 
 
 class RunFolder:
-    """Plan, profile, scenario, logs, recording and summary of one run, or why it failed."""
+    """Where the files of one run lie."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -61,7 +61,6 @@ class RunFolder:
             file.write(document + b"\n")
 
     def write_plan(self, plan: RunPlan) -> None:
-        """Write the plan at once, for the user alone."""
         with whole_file(self.plan, mode=0o600) as file:
             file.write(plan.as_json())
 
@@ -71,7 +70,7 @@ def new_run_id(scenario: str) -> str:
 
 
 def run_folder(run_id: str, out: Path | None) -> RunFolder:
-    """Choose the folder of a run; it is not made yet."""
+    """Choose the folder of a run; do not make it yet."""
     path = out or Path("runs") / run_id
     if path.is_symlink() and not path.exists():
         got = f"got {path}, a link to {path.readlink()}, which does not exist"
@@ -89,7 +88,7 @@ def run_folder(run_id: str, out: Path | None) -> RunFolder:
 def prepare_run(
     file: ScenarioFile, options: RunOptions, out: Path | None = None
 ) -> tuple[Preparation, RunFolder]:
-    """Work out a run and the path of its folder; write nothing yet."""
+    """Prepare a run and choose its folder; write nothing yet."""
     run_id = new_run_id(file.scenario.name)
     folder = run_folder(run_id, out)
     return prepare(file, options, run_id, keeps=True), folder

@@ -89,7 +89,7 @@ class MemoryRun:
             self.at(incident.time_s, partial(self._apply, incident))
 
     def cycles(self) -> Iterator[int]:
-        """Run cycle after cycle; yield the number of each once the plant has finished it."""
+        """Run all cycles; yield the number of each once the plant has finished it."""
         plant = self.loops[PLANT]
         start_ns = self.driver.now_ns()
         self._publish_run(self.plan.run_message("start", 0, start_ns))
@@ -123,7 +123,7 @@ class MemoryRun:
         return self.loops[PLANT].finished and all(one.finished or one.cycle < 0 for one in loops)
 
     def at(self, time_s: float, act: Callable[[], object]) -> None:
-        """Do something at a simulated time since cycle 0 [s], by the virtual clock."""
+        """Do something at a simulated time since cycle 0 [s]."""
         # A cycle of the virtual clock may be longer or shorter than in simulated time.
         scale = self.plan.timing.cycle_wall_ns / self.plan.timing.cycle_ns
         heappush(self._due, (round(time_s * 1e9 * scale), next(self._numbers), act))
@@ -134,7 +134,7 @@ class MemoryRun:
         heappush(self._due, (due_ns, next(self._numbers), act))
 
     def remove(self, name: str) -> Loop[Any]:
-        """Take a controller out of the run: what was on its way to it is lost."""
+        """Take a controller out of the run; messages on their way to it are lost."""
         self.bus.hold(name, keep=False)
         frozen, _ = self._frozen.pop(name, (None, 0))
         return frozen or self.driver.leave(name)

@@ -17,8 +17,7 @@ def who_waits(
     """Return one line on which processes of a stalled run wait for which, and those to blame.
 
     To blame are processes that a signal has stopped; else those that others wait for and that do
-    not wait in the same cycle themselves; else those that wait in the earliest stage, since all
-    that they need has been sent.
+    not wait in the same cycle; else those that wait in the earliest stage: their inputs were sent.
     """
     first = min(event.cycle for event in waiting.values())
     stuck = {agent: event for agent, event in waiting.items() if event.cycle == first}

@@ -1,4 +1,4 @@
-"""What a run shows while it goes on; the terminal's panel is in `heliarch.cli.live_view`."""
+"""The view of a run under way; the terminal's panel is in `heliarch.cli.live_view`."""
 
 from __future__ import annotations
 

@@ -35,8 +35,8 @@ log = logging.getLogger(__name__)
 
 _LOOK_S: Final = 0.02
 _STOP_LOOK_S: Final = 0.5
-"""How often a controller checks, after its last cycle, whether the launcher or the plant's end ends
-it. Of 1,000 controllers, frequent checks would starve those that are still joining."""
+"""How often a controller checks, after its last cycle, whether it is ended. Frequent checks of many
+controllers would starve those that still join."""
 
 _PLANT_PATIENCE_S: Final = 2.0
 _CUT_PATIENCE_S: Final = 60.0
@@ -54,9 +54,8 @@ _STOP_PATIENCE_S: Final = 10.0
 _STAY_S: Final = 3.0
 _STAY_LOOK_S: Final = 0.05
 """How long an agent on another host stays on the bus after the run, and how often others check
-whether all is recorded. If a session closes before the recorder has read all that came from it, and
-the recorder sends a keep-alive meanwhile, the rest is lost: some 6,000 messages in one of two runs
-of `thousand` on a busy machine."""
+whether all is recorded. If a session closes before the recorder has read it all, and that sends a
+keep-alive, the rest is lost: 6,000 messages in a run of `thousand` on a busy machine."""
 
 
 def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
@@ -122,8 +121,8 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
 class AgentProcess:
     """The agents of one process: their loops and driver on the bus, and the link to the launcher.
 
-    It beats after each wait. Controllers' own thread waits for the lock that Zenoh's thread holds
-    while it acts: if an agent hangs on either thread, there is no beat.
+    It beats after each wait. A controller's own thread waits for the lock that Zenoh's thread holds
+    while it acts, so an agent that hangs on either thread gives no beat.
 
     loop: Of its first agent, which stands for all where they are in step.
     """
@@ -163,7 +162,7 @@ class AgentProcess:
         self._bus.__exit__(*error)
 
     def drive(self) -> Iterator[None]:
-        """Drive the agents through the run; tell the launcher if they cannot go on in lockstep."""
+        """Drive the agents; in lockstep tell the launcher if they cannot go on."""
         driver = self.driver
         closed, waits_since = driver.closed, time.monotonic()
         for _ in driver.run():
@@ -179,7 +178,7 @@ class AgentProcess:
             yield
 
     def _tell_waiting(self) -> None:
-        """Tell the launcher what those that are furthest behind need from other processes."""
+        """Tell the launcher what the agents furthest behind need from other processes."""
         waiting = [one for one in self.driver.loops.values() if one.waiting and one.cycle >= 0]
         cycle = min((one.cycle for one in waiting), default=-1)
         own = self.driver.loops.keys()

@@ -1,7 +1,7 @@
 """Signs of life: memory that the processes of a run share with their launcher.
 
-A beat needs no bus, and cannot be lost or dropped. Through the same memory the launcher says who
-was given up, how many messages the recorder is to expect, and when all is recorded.
+A beat needs no bus and cannot get lost. In the same memory the launcher says who was given up, how
+many messages the recorder is to expect, and when all is recorded.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ NO_BEAT: Final = Beat(0, -1, sends=False, is_given_up=False, is_dismissed=False)
 
 
 class BeatTable:
-    """A table with a place for each process. `file` is a descriptor of memory without a name."""
+    """A place for each process. `file`: Descriptor of memory without a name."""
 
     def __init__(self, file: int, processes: Sequence[str]) -> None:
         names = (FORK_SERVER, *processes)
@@ -65,7 +65,6 @@ class BeatTable:
         struct.pack_into("qq", self._memory, self._places[name], now_ns, cycle)
 
     def sends(self, name: str) -> memoryview:
-        """Return the byte in which a process notes whether it is sending."""
         place = self._places[name] + _SENDS
         return memoryview(self._memory)[place : place + 1]
 
@@ -103,7 +102,7 @@ class BeatTable:
         return int(count) - 1 if count else None
 
     def close_recording(self) -> None:
-        """Let processes that have come to the end of the run leave the bus."""
+        """Let processes that are through leave the bus."""
         _HEAD.pack_into(self._memory, 0, 0, self.number_given_up, True)
 
     @property

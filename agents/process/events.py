@@ -8,7 +8,7 @@ import msgspec
 
 
 class Event(msgspec.Struct, frozen=True, tag_field="event", tag=str.lower):
-    """Something that a process tells its launcher."""
+    """News of a process for its launcher."""
 
 
 class Joined(Event, frozen=True):
@@ -32,10 +32,10 @@ class Waiting(Event, frozen=True):
 class Status(Event, frozen=True):
     """What the recorder has seen so far, for a live view. Powers in kW.
 
-    `unheard` are the keys on which external agents have said nothing in an arming round, and
-    `never_heard` some agents that have said nothing in any of them, and how many there are. In real
-    time, `not_recorded` are the agents that the recorder has not heard for a while, `not_heard` the
-    processes that none of their listeners hears.
+    unheard: Keys on which external agents were silent in an arming round.
+    never_heard: Some agents that were silent in all of them, and their number.
+    not_recorded: In real time: agents that the recorder has not heard for a while.
+    not_heard: In real time: processes that none of their listeners hears.
     """
 
     cycle: int
@@ -96,7 +96,7 @@ class Over(Event, frozen=True):
 
 
 class Remark(Event, frozen=True):
-    """What a user should know at once, in a line."""
+    """A line for the user."""
 
     text: str
 

@@ -28,7 +28,7 @@ _SET_TIMER_SLACK: Final = 29
 """PR_SET_TIMERSLACK of prctl(2)."""
 
 _FILES: Final = 40
-"""Files that a process has open beside its links: Zenoh's, its log, the recording."""
+"""Open files of a process beside its links."""
 
 
 def take_machine(priority: int, kind: Kind, *, lockstep: bool) -> str:
@@ -67,7 +67,7 @@ def wake_precisely() -> None:
 
 
 def take_files(processes: int) -> None:
-    """Let this process open as many files as one needs that is linked with all of a run's."""
+    """Let this process open a file for each process of a run."""
     needed = _FILES + processes
     allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     if resource.RLIM_INFINITY in {allowed, most} or needed <= allowed:

@@ -1,6 +1,6 @@
-"""Watches, beside a run, whether the machine itself stands still: a process that only sleeps.
+"""Watches whether the machine itself stands still: a process that only sleeps beside a run.
 
-It measures what `cyclictest` does: how late it is woken. No agent can be blamed for that.
+It measures how late it is woken, as `cyclictest` does.
 """
 
 from __future__ import annotations

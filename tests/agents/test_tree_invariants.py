@@ -99,7 +99,7 @@ def test_whenever_a_parent_acts_its_children_meet_its_newest_target_or_give_all_
             if node != ROOT and (own := heard.of(SETPOINT.of(node)).get(cycle)):
                 target_kw[node] = own.power_kw
             children = plan.tree.children(node)
-            if not plan.control.periods.is_turn(node, cycle):
+            if not plan.control.periods.acts(node, cycle):
                 assert not any(heard.of(SETPOINT.of(child)).get(cycle) for child in children)
                 continue
             setpoints = [heard.of(SETPOINT.of(child))[cycle] for child in children]
