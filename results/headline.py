@@ -51,8 +51,9 @@ def headline(figures: Figures) -> str:
         parts.append(f"without help between inverters {percent(alone)}")
     if (without_kwh := figures["without-storage-energy"]) is not None:
         given_kwh = without_kwh - (figures["shortfall-energy"] or 0.0)
-        dispatched_kwh = figures["dispatched-energy"] or 1.0
-        parts.append(f"storage gave {percent(100.0 * given_kwh / dispatched_kwh)}")
+        share = 100.0 * given_kwh / (figures["dispatched-energy"] or 1.0)
+        # Its own shortfall may be larger: what it took late, or gave too little of.
+        parts.append(f"storage {'cost' if share < 0.0 else 'gave'} {percent(abs(share))}")
     if denied := figures["unavoidable"]:
         parts.append(f"the sky denied {percent(denied)} more")
     return "; ".join(parts)
