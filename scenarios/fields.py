@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from types import UnionType
+from types import SimpleNamespace, UnionType
 from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -71,7 +71,7 @@ def _refusals(value: object, kind: object, path: str) -> Iterator[InputError]:
         if inside:
             yield from inside
         elif isinstance(cause, InputError):
-            yield cause.renamed(_join(path, cause.field) if cause.field else path)
+            yield _inside(path, cause)
         else:
             expected = takes(members(inspect.type_info(kind)))
             yield InputError.of(path, f"expected {expected}, got {value!r:.60}")
@@ -106,15 +106,39 @@ def _table_refusals(
     kinds = get_type_hints(table.cls, include_extras=True)
     fields = {field.encode_name: field for field in table.fields}
     known = [*([table.tag_field] if table.tag_field else []), *fields]
+    right = {field.name: field.default for field in table.fields if not field.required}
     for name, one in value.items():
         if name not in known:
             yield InputError.of(_join(path, name), not_one_of(known, name, "the fields "))
         elif name in fields:
-            yield from _refusals(one, kinds[fields[name].name], _join(path, name))
+            own = fields[name].name
+            wrong = list(_refusals(one, kinds[own], _join(path, name)))
+            yield from wrong
+            if not wrong:
+                right[own] = msgspec.convert(one, kinds[own], str_keys=True)
     for name, field in fields.items():
         if field.required and name not in value:
             expected = takes(members(field.type))
             yield InputError.of(_join(path, name), f"expected {expected}, got nothing")
+    yield from (_inside(path, one) for one in _refusals_of_all(table, right))
+
+
+def _refusals_of_all(
+    table: inspect.StructType, right: Mapping[str, object]
+) -> Iterator[InputError]:
+    """Yield what is wrong with a table whose other fields are wrong, if these do not matter."""
+    check: Any = getattr(table.cls, "__post_init__", None)
+    try:
+        if check is not None:
+            check(SimpleNamespace(**right))
+    except InputError as error:
+        yield error
+    except (AttributeError, TypeError):
+        pass  # It needs a field that is wrong.
+
+
+def _inside(path: str, error: InputError) -> InputError:
+    return error.renamed(_join(path, error.field) if error.field else path)
 
 
 def _join(path: str, name: str) -> str:

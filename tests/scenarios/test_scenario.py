@@ -234,12 +234,16 @@ def test_all_wrong_fields_of_a_file_are_named_at_once_with_their_lines(folder: F
     orders = "[[orders]]\nat = 1\npower_kw = -1\n[[orders]]\nat = 2\npower_kw = 'full'\n"
     folder.change("[control]", f"{orders}[control]")
     folder.change("duration_s = 30", "duration_s = 0")
+    folder.change("Europe/Madrid", "Europe/Madird")  # What all fields of a table are needed for.
+    folder.change('name = "small"', 'name = "s m"')
     folder.change('[neighbours]\nhistory = "earlier-day"\n', "")
     lines = folder.scenario.read_text(encoding="utf-8").splitlines()
     found = folder.complaint()
     assert len(found.splitlines()) == 1
     for field, entry in (
         ("time.duration_s", "duration_s = 0"),
+        ("time.timezone", 'timezone = "Europe/Madird"'),
+        ("name", 'name = "s m"'),
         ("orders[0].power_kw", "power_kw = -1"),
         ("orders[1].power_kw", "power_kw = 'full'"),
     ):
