@@ -19,11 +19,11 @@ from scenarios.fault_rules import fault_text
 _STILL_S: Final = 10.0
 """A recording that has not grown for this long, and for three cycles, is no longer written."""
 
-_FIGURES: Final = ("control-caused", "without-help", "unavoidable", "over-delivered", "curtailed")
-"""What a list shows of a run: missed, its baseline, and the rest."""
+_FIGURES: Final = ("control-caused", "without-help", "unavoidable")
+"""What a list shows of a run: missed, its baseline, and what the sky denied."""
 
 _UNREADABLE: Final[dict[str, Any]] = {
-    **dict.fromkeys(("run_id", "scenario", "scheme", "actuator"), ""),
+    **dict.fromkeys(("run_id", "scenario", "scheme"), ""),
     **dict.fromkeys(("inverters", "rating_kw"), None),
     "cycle_wall_s": 0.0,
     "faults": [],
@@ -72,7 +72,6 @@ def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
         "name": name,
         "state": _end(Outcome(found, failure_in(folder)), is_growing=is_growing),
         "recorded_ms": written.st_mtime * 1e3,
-        "size_mb": written.st_size / 1e6,
         "start": found.sim_start if found else "",
         "simulated_s": found.cycles * found.cycle_s if found else 0.0,
         "figures": {
@@ -104,7 +103,6 @@ def _what_was_run(recording: Path, file_number: int, size: int) -> dict[str, Any
         "run_id": plan.run_id,
         "scenario": plan.plant,
         "scheme": plan.control.scheme,
-        "actuator": plan.control.actuator,
         "inverters": len(plan.inverters),
         "rating_kw": plan.tree.rating_kw(ROOT),
         "cycle_wall_s": plan.timing.cycle_wall_ns / 1e9,

@@ -55,9 +55,9 @@ class HardMinute(msgspec.Struct, frozen=True):
             help_inside = "; inverters helped inside clusters" if self.noun == "cluster" else ""
             return f"no {self.noun} was below its share{help_inside}"
         parts = [f"{_named(self.lacking)} lacking"]
-        parts.append(f"{_named(self.gave)} given" if self.gave else "nobody had more to give")
+        parts.append(f"help from {_named(self.gave)}" if self.gave else "nobody had more to give")
         if self.missed_kw >= _LEAST_KW:
-            parts.append(f"{self.missed_kw:,.1f} kW missed")
+            parts.append(f"{self.missed_kw:,.1f} kW still missed")
         return "; ".join(parts)
 
 

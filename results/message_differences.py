@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 from msgspec.structs import replace
@@ -138,7 +139,9 @@ def _cell(value: object, other: object) -> Cell:
         others = other if isinstance(other, float) else value
         differs = (at for at in range(6, 17) if f"{value:.{at}f}" != f"{others:.{at}f}")
         return Number(value, next(differs, 6))
-    return value if isinstance(value, int) else str(value)
+    if isinstance(value, tuple):
+        value = ", ".join(map(str, value)) or "none"
+    return value if isinstance(value, int) else shorten(str(value), 60, placeholder=" ...")
 
 
 def _table(rows: Iterator[tuple[Cell, ...]]) -> Table:

@@ -14,7 +14,6 @@ import {positionBar} from "./position_bar.js";
 import {powerPanel} from "./power_panel.js";
 import {runTime, timeSpan} from "./run_time.js";
 import {sentence} from "./sentence.js";
-import {toggleTheme} from "./theme.js";
 import {controlTree} from "./tree.js";
 
 function showHeader(plan) {
@@ -116,9 +115,8 @@ function showRun(plan) {
 
   const neighbour = by => select(tree.order[(tree.order.indexOf(node.selected) + by + tree.order.length) % tree.order.length]);
   const help = () => $("keys").open ? $("keys").close() : $("keys").showModal();
-  Object.assign(keys, {t: toggleTheme, n: () => neighbour(1), p: () => neighbour(-1), "?": help});
+  Object.assign(keys, {n: () => neighbour(1), p: () => neighbour(-1), "?": help});
   $("help").onclick = help;
-  $("theme").onclick = toggleTheme;
   document.addEventListener("keydown", event => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement || !keys[event.key]) return;
     event.preventDefault();

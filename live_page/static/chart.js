@@ -1,7 +1,7 @@
 // Time charts on uPlot: one cursor and one zoom for all of them, marks of events, the future dimmed.
-// Colours are read when drawn, so that the theme can change.
+// Colours are read when drawn, so that light and dark can change.
 
-const colours = new Map();  // Of the theme: to ask for one makes the browser style the whole page anew.
+const colours = new Map();  // Of light or dark: to ask for one makes the browser style the whole page anew.
 function css(name) {
   if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
   return colours.get(name);
@@ -24,9 +24,16 @@ const FONT = "12px system-ui, sans-serif";
 const DOUBLE_CLICK_MS = 250;
 const charts = new Set();
 
-export function redrawCharts() {
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   colours.clear();
   for (const chart of charts) chart.redraw(false);
+});
+
+// Keeps a chart as wide as its element, and returns what shows `columns` of values in it.
+function placed(chart, element, height) {
+  charts.add(chart);
+  new ResizeObserver(() => chart.setSize({width: element.clientWidth, height})).observe(element);
+  return (columns, from, to) => chart.batch(() => { chart.setData(columns, true); chart.setScale("x", {min: from, max: to}); });
 }
 
 // What all charts of a page share: the chosen span, marks, and who hears where the cursor is.
@@ -67,16 +74,9 @@ export function timeChart(element, lines, group, {height, onCursor = null}) {
       width: line.width ?? 1.5, dash: line.dash, points: {show: false},
     }))],
   }, [[], ...lines.map(() => [])], element);
-  charts.add(chart);
-  new ResizeObserver(() => chart.setSize({width: element.clientWidth, height})).observe(element);
+  const show = placed(chart, element, height);
   listenToClicks(chart, group);
-  return {
-    canvas: chart.ctx.canvas,
-    show(columns, from, to, moment) {
-      now = moment;
-      chart.batch(() => { chart.setData(columns, true); chart.setScale("x", {min: from, max: to}); });
-    },
-  };
+  return {canvas: chart.ctx.canvas, show: (columns, from, to, moment) => { now = moment; show(columns, from, to); }};
 }
 
 // A chart that is nothing but its lines: the whole run in the bar.
@@ -86,13 +86,7 @@ export function bareChart(element, lines, height) {
     scales: {y: {range: fromZero}}, axes: [{show: false}, {show: false}],
     series: [{}, ...lines.map(line => ({stroke: () => css(line.color), fill: line.fill && (() => css(line.fill)), width: 1, points: {show: false}}))],
   }, [[], ...lines.map(() => [])], element);
-  charts.add(chart);
-  new ResizeObserver(() => chart.setSize({width: element.clientWidth, height})).observe(element);
-  return {
-    show(columns, from, to) {
-      chart.batch(() => { chart.setData(columns, true); chart.setScale("x", {min: from, max: to}); });
-    },
-  };
+  return {show: placed(chart, element, height)};
 }
 
 function zoom(chart, group) {

@@ -2,7 +2,6 @@
 
 import {$, json} from "./dom.js";
 import {power} from "./chart.js";
-import {toggleTheme} from "./theme.js";
 
 const number = (value, digits) => value?.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits}) ?? "–";
 const percent = share => share == null ? "–" : `${number(share, share !== 0 && share < 0.1 ? 3 : 2)} %`;
@@ -10,8 +9,8 @@ const duration = seconds => seconds < 600 ? `${number(seconds, 0)} s` : seconds 
 /** @type {Intl.DateTimeFormatOptions} */
 const WHEN = {day: "numeric", month: "short", hour: "2-digit", minute: "2-digit"};
 
-// Each column: its heading, what it sorts by, and what it shows. Those with `wide` or `middle`
-// show only in wider windows, those with `small` in the narrowest ones too.
+// Each column: its heading, what it sorts by, and what it shows. Those with `middle` show only in
+// wider windows, those with `small` in the narrowest ones too.
 const figure = (heading, name, more = {}) => ({heading, by: run => run.figures[name], show: run => percent(run.figures[name]), digits: true, ...more});
 const COLUMNS = [
   {heading: "run", by: run => run.name, show: link, words: true},
@@ -21,15 +20,10 @@ const COLUMNS = [
   figure("missed", "control-caused", {small: true}),
   figure("without help", "without-help", {small: true}),
   figure("denied by the sky", "unavoidable", {middle: true}),
-  figure("over-delivered", "over-delivered", {wide: true}),
-  figure("left unused", "curtailed", {wide: true}),
   {heading: "how it ended", by: run => run.state, show: run => text(run.unreadable || run.state, run.state === "over" ? "good" : "late"), words: true},
-  {heading: "scheme", by: run => run.scheme, wide: true},
-  {heading: "actuator", by: run => run.actuator, wide: true},
   {heading: "faults", by: run => run.faults.length, show: faults, words: true, middle: true},
   {heading: "recorded", by: run => run.recorded_ms, show: recorded},
   {heading: "for", by: run => run.simulated_s, show: run => run.simulated_s ? duration(run.simulated_s) : "–", digits: true},
-  {heading: "MB", by: run => run.size_mb, show: run => number(run.size_mb, 1), digits: true, wide: true},
 ];
 
 let list = {runs: []}, sortedBy = COLUMNS.findIndex(column => column.heading === "recorded"), downwards = true;
@@ -63,7 +57,7 @@ function drawHeading() {
     return head;
   }));
 }
-const classOf = column => [column.digits && "n", column.wide && "wide", column.middle && "middle", column.words && "words", column.small && "small"].filter(Boolean).join(" ");
+const classOf = column => [column.digits && "n", column.middle && "middle", column.words && "words", column.small && "small"].filter(Boolean).join(" ");
 
 function compareValues(a, b) {
   if (a == null || b == null) return a == null ? (b == null ? 0 : 1) : -1;  // What is unknown comes last.
@@ -75,7 +69,7 @@ function draw() {
   drawHeading();
   const words = $("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
   const found = list.runs.filter(run => {
-    const all = [run.name, run.state, run.scenario, run.scheme, run.actuator, ...run.faults].join(" ").toLowerCase();
+    const all = [run.name, run.state, run.scenario, run.scheme, ...run.faults].join(" ").toLowerCase();
     return words.every(word => all.includes(word));
   });
   found.sort((a, b) => compareValues(COLUMNS[sortedBy].by(a), COLUMNS[sortedBy].by(b)));
@@ -117,7 +111,6 @@ async function refresh() {
 }
 
 $("filter").oninput = draw;
-$("theme").onclick = toggleTheme;
 $("compare").onclick = () => {
   const [a, b] = [...chosen].map(encodeURIComponent);
   location.href = `compare?a=${a}&b=${b}`;

@@ -17,5 +17,5 @@ export function sentence(plan, {nodes}) {
   const lacking = far.filter(({kw}) => kw < 0).map(node => ({...node, kw: -node.kw})).sort((a, b) => b.kw - a.kw);
   const gives = far.filter(({kw}) => kw > 0).sort((a, b) => b.kw - a.kw);
   if (!lacking.length) return "no inverter is below its share";
-  return `${named(lacking)} lacking; ${gives.length ? `${named(gives)} given` : "nobody has more to give"}`;
+  return `${named(lacking)} lacking; ${gives.length ? `help from ${named(gives)}` : "nobody has more to give"}`;
 }

@@ -104,9 +104,6 @@ def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) 
         )
         assert window.text("#node-title") == "c2/c"
         window.until(curve("node-chart"), "the curves of a node")
-        before = window.run("return document.documentElement.dataset.theme")
-        window.press("t")
-        assert window.run("return document.documentElement.dataset.theme") != before
         for width in (1280, 800, 420):
             window.narrow(width)
             assert window.run(NOTHING_OUTSIDE) == []
@@ -143,7 +140,7 @@ def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> N
         typed = "const f = document.querySelector('#filter'); f.value = '{}'; f.oninput();"
         count = " return document.querySelectorAll('#rows tr').length"
         assert window.run(typed.format("nothing") + count) == 0
-        assert window.run(typed.format("fraction") + count) == 1
+        assert window.run(typed.format("predictive") + count) == 1
         for width in (1280, 800, 420):
             window.narrow(width)
             assert window.run(NOTHING_OUTSIDE) == []

@@ -101,7 +101,7 @@ def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path:
         assert rows["one"]["figures"]["control-caused"] == 4.2
         assert (rows["one"]["inverters"], rows["one"]["rating_kw"]) == (4, 400.0)
         assert rows["one"]["state"].startswith("interrupted")
-        assert (rows["one"]["scheme"], rows["one"]["actuator"]) == ("paper", "fraction")
+        assert rows["one"]["scheme"] == "paper"
         assert page.get("run/rates~rate-1/plan")["plant"] == "field"
         assert page.status("run/two/plan") == 404
         assert page.status("run/..~..~one/plan") == 404

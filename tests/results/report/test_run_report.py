@@ -91,7 +91,7 @@ def test_the_page_has_every_figure_with_its_data_and_links_to_each() -> None:
     assert all(json.loads(data[f"{plot}-data"])["data"] for plot in plots)
     assert all(page.texts("figcaption"))
     links = [str(element.attributes["href"]).removeprefix("#") for element in page.of("a")]
-    assert links == ["table-1", "table-2", *FIGURES]
+    assert links == [*FIGURES, "table-1", "table-2"]
     assert set(links) <= {element.attributes.get("id") for element in page.of("section")}
 
 
