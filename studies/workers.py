@@ -24,10 +24,6 @@ _ANSWER_S: Final = 10
 _SIGNALS: Final = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 
-class WorkerLostError(FailureError):
-    """A process that worked on the study has died."""
-
-
 def share_work(
     function: Callable[[Item], Result],
     items: Sequence[Item],
@@ -43,7 +39,7 @@ def share_work(
 
     cluster: Address of a Dask scheduler, whose workers do the work instead.
 
-    Raises WorkerLostError: A worker was killed.
+    Raises FailureError: A worker was killed.
     """
     if cluster:
         return _share_over_cluster(function, items, cluster, done)
@@ -72,7 +68,7 @@ def share_work(
                 done()
             return [future.result() for future in futures]
         except BrokenProcessPool:
-            raise WorkerLostError(
+            raise FailureError(
                 "a worker was killed, often because memory ran out: try fewer --workers"
             ) from None
         finally:
@@ -113,7 +109,7 @@ def _share_over_cluster(
                 done()
             results: list[Result] = client.gather(futures)
         except KilledWorker as error:
-            raise WorkerLostError(f"workers of the cluster died: {error}") from None
+            raise FailureError(f"workers of the cluster died: {error}") from None
     return results
 
 

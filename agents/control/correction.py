@@ -38,6 +38,9 @@ SHARE_MEMORY_S: Final = 600.0
 SHARE_ASSUMED: Final = 0.01
 """It takes corrections of this share of the rating to outweigh that at first all is corrected."""
 
+LEAST_WAY: Final = 0.001
+"""Share of an error by which power that is on its way changes it from one turn to the next."""
+
 ERROR_MEMORY_S: Final = 20.0
 """Time constant of the mean error of the plant's power [s]."""
 
@@ -131,11 +134,16 @@ def corrected(
     if last.readings > 0:
         metered_kw = last.metered_kw / last.readings
         delay_s += law.delay_s
-        missed_kw = _missing_kw(last, metered_kw, shown_turns(delay_s, law.turn_s))
+        turns = shown_turns(delay_s, law.turn_s)
+        missed_kw = _missing_kw(last, metered_kw, turns)
         time_s = last.readings * law.cycle_s
         if not is_free:
             error_kw += (abs(missed_kw) - error_kw) * time_s / (ERROR_MEMORY_S + time_s)
         is_on_its_way = law.is_ramped and (metered_kw - last.last_kw) * missed_kw > 0.0
+        if is_on_its_way:  # What moves as the aims did gets no nearer to them.
+            aims_way_kw = last.shown_kw[turns - 2] - last.shown_kw[turns - 1]
+            nearer_kw = metered_kw - last.last_kw - aims_way_kw
+            is_on_its_way = abs(nearer_kw) > LEAST_WAY * abs(missed_kw)
         if missed_kw != 0.0 and not is_on_its_way:
             would_kw = missed_kw + last.correction_kw
             # A large error that nothing told of counts for no more than the correction itself.

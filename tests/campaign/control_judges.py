@@ -35,6 +35,9 @@ MOST_GAIN_PER_S: Final = 0.6
 FEW_TRIED_SHARE: Final = 0.015
 """Of the plant's rating: beyond corrections of so much it counts by how much they have helped."""
 
+LEAST_WAY: Final = 0.001
+"""Share of an error by which power that is on its way changes it in a turn, at least."""
+
 CORRECTS_WITHIN_S: Final = 10.0
 """Time in which a steady error changes the correction, besides that of the slowest inverter."""
 
@@ -272,18 +275,17 @@ def storages(run: FaultyRun) -> Breaches:
     for one, given, has_kw, silent, _ in _divisions(run):
         parts_kw, able_kw = _of_storages_kw(run, one), _able_kw(run, one)
         setpoint = one.used.get(key(one.node, "setpoint"))
-        if not parts_kw or silent.any():
+        if not parts_kw:
             continue
+        wanted_kw = sum(parts_kw.values())  # Those of a silent child are asked for nothing.
         if setpoint is not None:
             wanted_kw = setpoint.storage_kw or 0.0
-        elif one.agent == CENTRAL:
+        elif one.agent == CENTRAL and not silent.any():
             asked_kw = sum(its.share_kw for its in given)
             least_kw = _uncharged_kw(run, one, asked_kw, has_kw.sum())
             least_kw -= min(asked_kw, has_kw.sum())
             most = max(asked_kw - has_kw.sum(), 0.0)
-            wanted_kw = min(max(sum(parts_kw.values()), least_kw), most)  # Under a sure sky least.
-        else:
-            continue
+            wanted_kw = min(max(wanted_kw, least_kw), most)  # Under a sure sky least.
         most_kw = able_kw[:, 0 if wanted_kw >= 0.0 else 1]
         share = min(abs(wanted_kw) / most_kw.sum(), 1.0) if most_kw.sum() else 0.0
         due_kw = np.copysign(share * most_kw, wanted_kw)
@@ -399,7 +401,8 @@ def _wrong_command(run: FaultyRun, one: Decision, error_kw: float) -> Iterator[s
 class _Aim(NamedTuple):
     """What the central controller aims at in a turn, and by what it corrects [kW].
 
-    low_kw, high_kw: Its target less what its aim needs: the correction.
+    low_kw, high_kw: Its target less what its aim needs: the correction, if all of it or none of
+        what storages can be charged with is in its target.
     aim_kw: What it should aim at, at the meter.
     possible_kw: What all inverters can give, at the meter.
     readings_kw: What the meter sent since its last turn, up to the newest that was used.
@@ -424,25 +427,23 @@ class _Aim(NamedTuple):
 def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
     """Yield what the central controller aims at, turn by turn; None where it is not known."""
     children, near_kw = run.children(ROOT), 2.0 * EXACT * run.rating_kw()
-    reference, read, process, seen_kw = (nan, nan), 0, -1, tuple[float, ...]()
-    readings, stated = run.trace.of["meter"], tuple[float, ...]()
+    reference, read, process, own_read, seen_kw = nan, 0, -1, 0, tuple[float, ...]()
+    readings = run.trace.of["meter"]
     for one in run.of_stage("solve"):
         if one.agent != CENTRAL:
             continue
-        is_new, process = one.process != process, one.process
-        seen_kw = () if is_new else seen_kw
-        if one.used["dispatch"] is not None:
-            before = reference
-            if is_new and stated:  # It begins with the dispatch, or where another one once was.
-                begins = [*reference_kw(run, one, (nan, nan)), *stated]
-                before = min(begins), max(begins)
-            reference = reference_kw(run, one, before)
-            stated += reference
+        if one.process != process:
+            process, reference, own_read, seen_kw = one.process, nan, 0, ()
         meter = one.used["meter"]
-        if meter is not None and meter.cycle > read:
+        if meter is not None:
+            if own_read == 0 and meter.correction_kw is not None:  # It goes on from there.
+                reference = nan if meter.reference_kw is None else meter.reference_kw
+            own_read = max(own_read, meter.cycle)
             new = range(read + 1, meter.cycle + 1)
             seen_kw += tuple(readings[k][0].power_kw for k in new if k in readings)
-            read = meter.cycle
+            read = max(read, meter.cycle)
+        if one.used["dispatch"] is not None:
+            reference = reference_kw(run, one, reference)
         given = [one.sent.get(key(child, "setpoint")) for child in children]
         if one.used["dispatch"] is None or one.doubtful or None in given:
             yield None
@@ -452,13 +453,13 @@ def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
         target_kw = sum(setpoint.share_kw for setpoint in given if setpoint) + silent_kw
         possible_kw = sum(has_kw.values())
         least_kw = _uncharged_kw(run, one, target_kw, possible_kw)
-        low_kw, high_kw = (aim_kw(run, one, kw, possible_kw) for kw in reference)
-        needs_kw = [gross_kw(run, kw) for kw in (low_kw, high_kw)]
-        stated_now = run.trace.of["memory"].get(one.cycle, ())
-        memory = next((m for m in stated_now if m.incarnation == one.process), None)
+        wanted_kw = aim_kw(run, one, reference, possible_kw)
+        needs_kw = gross_kw(run, wanted_kw)
+        stated = run.trace.of["memory"].get(one.cycle, ())
+        memory = next((m for m in stated if m.incarnation == one.process), None)
         is_shown = silent_kw + near_kw < target_kw < run.rating_kw() - near_kw
         yield _Aim(
-            *(one, least_kw - needs_kw[1], target_kw - needs_kw[0], high_kw),
+            *(one, least_kw - needs_kw, target_kw - needs_kw, wanted_kw),
             *(net_kw(run, possible_kw), seen_kw, is_shown, memory),
         )
         seen_kw = ()
@@ -578,8 +579,11 @@ class _Corrections:
         aims_kw = [one.aim_kw for one in self._turns]
         if min(aims_kw) <= read_kw <= max(aims_kw):
             return f"though {read_kw:,.3f} kW was aimed at"
-        way_kw = read_kw - self._metered_kw
-        if self._is_ramped and way_kw * (self._turns[-1].aim_kw - read_kw) > 0.0:
+        # Power that only moves as its aims do comes no nearer to them.
+        way_kw, aims_way_kw = read_kw - self._metered_kw, float(np.abs(np.diff(aims_kw)).max())
+        left_kw = self._turns[-1].aim_kw - read_kw
+        is_nearing = abs(way_kw) > 2.0 * aims_way_kw + LEAST_WAY * abs(left_kw)
+        if self._is_ramped and way_kw * left_kw > 0.0 and is_nearing:
             return f"while the power goes its way of {way_kw:,.3f} kW"
         return ""
 
@@ -619,16 +623,15 @@ class _Corrections:
         return ""
 
 
-def reference_kw(run: FaultyRun, one: Decision, last: tuple[float, float]) -> tuple[float, float]:
-    """Return between which powers the dispatch is, as far as the grid's ramps let it go [kW]."""
+def reference_kw(run: FaultyRun, one: Decision, last_kw: float) -> float:
+    """Return the dispatch as far as the grid's ramps let it go in a cycle [kW]."""
     grid, minutes = run.plan.grid, run.plan.timing.cycle_s / 60.0
     dispatch_kw = min(max(one.used["dispatch"].power_kw, 0.0), run.rating_kw())
-    if isnan(last[0]):
-        return dispatch_kw, dispatch_kw
+    if isnan(last_kw):
+        return float(dispatch_kw)
     up_kw = (grid.ramp_up_kw_per_min or inf) * minutes
     down_kw = (grid.ramp_down_kw_per_min or inf) * minutes
-    low_kw, high_kw = (min(max(dispatch_kw, kw - down_kw), kw + up_kw) for kw in last)
-    return low_kw, high_kw
+    return float(min(max(dispatch_kw, last_kw - down_kw), last_kw + up_kw))
 
 
 def aim_kw(run: FaultyRun, one: Decision, reference_kw: float, has_kw: float) -> float:

@@ -211,6 +211,7 @@ JUDGES: Final[dict[str, Callable[[FaultyRun], Breaches]]] = {
     "storage": control_judges.storages,
     "commands": control_judges.commands,
     "target": control_judges.target,
+    "memory": plant_judges.memory,
     "offers": control_judges.offers,
     "one authority": one_authority,
     "silence": silence,
@@ -262,9 +263,9 @@ def worth(run: FaultyRun) -> Worth:
 
 
 def _aimed_kw(run: FaultyRun) -> Iterator[float]:
-    reference = (float("nan"), float("nan"))
+    reference_kw = float("nan")
     for one in run.of_stage("solve"):
         if one.agent == CENTRAL:
-            reference = control_judges.reference_kw(run, one, reference)
+            reference_kw = control_judges.reference_kw(run, one, reference_kw)
             has_kw = true_mpp_kw(run, one.cycle).sum()
-            yield control_judges.aim_kw(run, one, reference[0], has_kw)
+            yield control_judges.aim_kw(run, one, reference_kw, has_kw)

@@ -184,6 +184,23 @@ def meters(run: FaultyRun) -> Breaches:
         last_kw, stored_kw = power_kw, now_stored_kw
 
 
+def memory(run: FaultyRun) -> Breaches:
+    """Check that the meter repeats what the central controller stated last, however long ago."""
+    fields = ("correction_kw", "error_kw", "expected_kw", "reference_kw")
+    of_share = ("lacking_kw", "tried_kw", "helped_share")
+    stated, is_known = None, True
+    for one in run.applied:
+        meter = run.trace.of["meter"][one.cycle][0]
+        repeated, due = (
+            [getattr(its, name, None) or 0.0 for name in fields + of_share]
+            for its in (meter, stated)
+        )
+        if is_known and repeated != due:
+            yield one.cycle, f"the meter repeats {repeated}, not {due}, which was stated last"
+        if one.used["memory"] is not None:
+            stated, is_known = one.used["memory"], "memory" not in one.doubtful
+
+
 def storages(run: FaultyRun) -> Breaches:
     """Check that storages obey within their limits, and that no energy is made or lost."""
     last = {one.path: (0.0, one.state * one.capacity_kwh, 0.0, 0) for one in run.plan.storages}

@@ -51,8 +51,10 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             "plant.meter_noise": 0.01,
             "plant.available_bias": 0.0,
             "plant.available_share": 0.5,
+            # Some inverters cannot go below `alpha_min` of their maximum, others make up for it.
+            "orders": [{"at": 90, "power_kw": 1200}, {"at": 120, "schedule": True}],
         },
-        Worth(0.0065, 0.0045, 0.005, 0.0, 0.74),
+        Worth(0.0065, 0.0045, 0.005, 0.0, 0.68),
     ),
     "fast": CampaignPlant(
         _EIGHT,
@@ -115,7 +117,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             ],
         },
         Worth(0.019, 0.03, 0.0175, 0.0, 0.54),
-        settles_s=50.0,
+        settles_s=80.0,  # While an order's ramp goes on, an error below it cannot be told.
     ),
     "droop": CampaignPlant(
         _EIGHT,
@@ -132,7 +134,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
                 "meter_error_percent": 0.5,
                 "pmax": 0.6,
                 "pmin": 0.05,
-                "droop": {"reserve_percent": 5},
+                "droop": {"reserve_percent": 5, "fdbd1": -0.001, "ddn": 25},
             },
             "frequency": {
                 "kind": "events",

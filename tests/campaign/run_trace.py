@@ -172,7 +172,7 @@ class FaultyRun:
 
     def _of_agent(self, agent: str, node: str) -> Iterator[Decision]:
         commands = tuple(key(one, "command") for one in self.plan.tree.devices)
-        apply = (Stage("apply", ("production",), commands),)
+        apply = (Stage("apply", ("production",), (*commands, "memory")),)
         speaks, heard = 0, dict[str, tuple[int, int]]()
         for cycle in range(self.plan.timing.cycles):
             reported: dict[str, Any] = {}

@@ -21,7 +21,7 @@ from verifying import assert_equal_as_far_as_recorded
 from agents.plan_file import load_plan
 from agents.process import events
 from bus_schemas.messages import GivenUp, parse_missing
-from bus_schemas.signals import GIVEN_UP, IMPP
+from bus_schemas.signals import COMMAND, GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import RECORDER
 from heliarch.cli.live_view import PlainView
@@ -242,16 +242,16 @@ def test_a_run_over_a_bad_network_with_a_supervisor_that_stood_still_verifies_eq
 
 
 def test_faults_act_on_the_links_inside_a_group(heliarch: Start, plant: str) -> None:
-    rule = "partition=c1/inv01|c1,at=5s..15s"
+    rule = "signal=setpoint,listener=c1/inv02,loss=100%,at=5s..15s"  # Not the group's first agent.
     run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", *GROUPED, "--fault", rule)
     run.until_recorded(25)
     assert run.interrupt() == 130, run.error_text()
     with RunReader(run.folder) as reader:
         lacks = {
             message.cycle: any(
-                key == "c1/inv01/residual" for key, _ in map(parse_missing, message.missing)
+                key == "c1/inv02/setpoint" for key, _ in map(parse_missing, message.missing)
             )
-            for _, message in reader.messages(IMPP, nodes="c1")
+            for _, message in reader.messages(COMMAND, nodes="c1/inv02")
         }
     during = [lacks[cycle] for cycle in lacks if 5 <= cycle < 15]
     assert during

@@ -48,6 +48,17 @@ def test_nor_does_it_swing_where_readings_come_late(delay_s: float) -> None:
     assert max(metered_kw) < 500.01
 
 
+@pytest.mark.parametrize("drift_kw", [0.02, -0.02])
+def test_an_error_that_lasts_is_corrected_while_the_dispatch_drifts(drift_kw: float) -> None:
+    law = law_of(1.0, is_ramped=True)
+    known, metered_kw = nothing_metered(law), 480.0
+    for turn in range(30):
+        wanted_kw = 500.0 + drift_kw * turn
+        known = corrected(with_reading(known, metered_kw), wanted_kw, inf, 0.0, law)
+        metered_kw = corrected_kw(known, law, GridLaw()) - 20.0
+    assert metered_kw == pytest.approx(wanted_kw, abs=0.5)
+
+
 def test_losses_that_are_known_need_no_correction() -> None:
     law, grid = law_of(1.0), GridLaw(loss_kw=2.0, loss_per_kw=1.5e-5)
     known = corrected(nothing_metered(law), 500.0, 900.0, 0.0, law)
