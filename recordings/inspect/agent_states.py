@@ -70,7 +70,7 @@ class AgentSpan(msgspec.Struct, frozen=True):
 
     @property
     def weight(self) -> tuple[bool, bool, int]:
-        """What it is sorted by: who came back as it was comes after others, the shorter last."""
+        """Key of sorting: agents that came back as they were last, and short spans last."""
         is_lasting = self.kind != "absent" or self.is_restarted or self.back_in is None
         return self.is_unrecorded_plant, is_lasting, self.cycles
 
@@ -79,7 +79,6 @@ class AgentSpan(msgspec.Struct, frozen=True):
         return self.is_restarted or self.cycles >= _NOTABLE_CYCLES[self.kind]
 
     def what(self) -> str:
-        """Return kind and cause in words: `cut off from the recorder`, `absent, killed`."""
         joint = " " if self.cause == BY_RECORDER else ", "
         return joint.join(filter(None, (self.kind, self.cause)))
 
@@ -116,7 +115,6 @@ class AgentState(msgspec.Struct, frozen=True):
         return 2 if self.kind == "given up" else min(self.cycles, 2)
 
     def text(self) -> str:
-        """Return it as tables show it: `absent for 3, killed`."""
         if self.kind in {"fine", "given up"}:
             return self.kind
         cause = self.cause if self.cause in _CAUSES.values() else ""
@@ -127,7 +125,7 @@ class AgentState(msgspec.Struct, frozen=True):
 
 
 class Change(NamedTuple):
-    """Something that happened to an agent in a cycle; `kind` as the page shows."""
+    """An event of an agent in a cycle; `kind` as on the page."""
 
     kind: str
     cycle: int
@@ -203,11 +201,11 @@ class AgentStates:
             self._changed_cycles.add(cycle)
 
     def end_cycle(self, stop_cycle: int | None) -> int:
-        """Return before which cycle a run ended; by its last production if that is not recorded."""
+        """Return the first cycle after a run; by its last production if that is not recorded."""
         return self.gaps[PRODUCTION.of(ROOT)].newest + 1 if stop_cycle is None else stop_cycle
 
     def finish(self, end: int) -> None:
-        """Take in that all messages of the cycles before one have come."""
+        """Note that all messages of the cycles before one have come."""
         self._end = end
         self._changed.update(self._port_of)
 
@@ -247,7 +245,7 @@ class AgentStates:
         return found
 
     def changes(self) -> Iterator[Change]:
-        """Yield begin and end of each such span, and what the fault rules did so far."""
+        """Yield begin and end of each such span, and the faults so far."""
         for span in self.spans():
             if span.cycles:
                 yield Change(span.kind, span.first_cycle, span.agent, span.what())
@@ -279,7 +277,7 @@ class AgentStates:
             self._changed.add(name)
 
     def _judge(self) -> None:
-        """Work out anew which agents are cut off in cycles of which more is known."""
+        """Work out anew which agents are cut off in the changed cycles."""
         for cycle in self._changed_cycles:
             heard = {name for name, port in self._port_of.items() if self.gaps[port].has(cycle)}
             found = self._listeners.cut_off(cycle, self._lacked[cycle], heard)
@@ -293,7 +291,7 @@ class AgentStates:
         self._changed_cycles.clear()
 
     def _spans_of(self, name: str) -> list[AgentSpan]:
-        """Return all spans of an agent, in order: those of 0 cycles are restarts alone."""
+        """Return all spans of an agent in order; a span of 0 cycles is a restart."""
         self._judge()
         if name in self._changed:
             self._changed.discard(name)
@@ -306,7 +304,6 @@ class AgentStates:
 
     @property
     def _limit(self) -> int:
-        """The cycle before which the run is known; a device may name any cycle."""
         return self.newest + 1 if self._end is None else self._end
 
     def _stretches(self, name: str) -> Iterator[Stretch]:
@@ -333,7 +330,7 @@ class AgentStates:
             yield AgentSpan(name, "absent", gone.start, len(gone), cause)
 
     def _gone_at_last(self, name: str, last: int) -> range:
-        """Return the cycles after the last one in which an agent was heard, as far as known."""
+        """Return the cycles after an agent was last heard, as far as known."""
         if self._end is not None or name in self._given_up:
             gone = range(last + 1, self._limit)
             # A run that broke off has not completed its last cycle.
@@ -353,7 +350,7 @@ class AgentStates:
             yield AgentSpan(name, "cut off", span.start, len(span), cause, back_in=back_in)
 
     def _unrecorded(self, name: str) -> set[int]:
-        """Return cycles whose messages were published, by their numbers, and not recorded."""
+        """Return cycles of which sequence numbers show messages that are not recorded."""
         found = set[int]()
         settled = self.newest - self._disorder if self._end is None else self._end
         for before, after in pairwise(self._stretches(name)):
@@ -383,7 +380,6 @@ class AgentStates:
         return list(_ranges(cycle for cycle in found if not any(one.has(cycle) for one in own)))
 
     def _cause(self, name: str, since: int, cycle: int) -> str:
-        """Return what a fault rule did to an agent after it was last heard."""
         causes = reversed(self._causes[name])
         return next((cause for at, cause in causes if since <= at <= cycle), "")
 
@@ -399,7 +395,7 @@ def states_of(run: RunReader) -> AgentStates:
 
 
 def _ranges(cycles: Iterable[int]) -> Iterator[range]:
-    """Join cycles in order to spans of cycles that follow each other."""
+    """Join cycles that follow each other to spans."""
     span = range(0)
     for cycle in cycles:
         if span and cycle == span.stop:
@@ -417,10 +413,7 @@ def _cycle_at(plan: RunPlan, time_s: float) -> int:
 
 
 def fault_changes(plan: RunPlan) -> Iterator[Change]:
-    """Yield what the fault rules of a run do and when, in the order of time.
-
-    The end of a freeze is not told: what ends it is that the agent is heard again.
-    """
+    """Yield the faults of a run in the order of time, without the end of a freeze."""
     yield from sorted(
         (
             Change("fault", _cycle_at(plan, begin_s), "fault", text)

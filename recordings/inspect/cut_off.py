@@ -15,9 +15,8 @@ from bus_schemas.tree import ROOT, agent_name, parent_of
 class Listeners:
     """Which listener awaits messages of which agents.
 
-    A listener that lacks most agents that were heard is cut off itself, and what it lacks says
-    nothing of the others. Otherwise an agent is cut off whose parent, or half of whose listeners,
-    lack it.
+    A listener that lacks most agents that were heard is itself cut off and no evidence against
+    others. Otherwise an agent is cut off if its parent, or half of its listeners, lack it.
     """
 
     def __init__(self, plan: RunPlan, publishers: Mapping[Port[Message], str]) -> None:
@@ -45,8 +44,8 @@ class Listeners:
     ) -> dict[str, int]:
         """Return the agents cut off in a cycle, each with the cycles until it is awaited again.
 
-        lacked: The agents that each listener lacked in it.
-        recorded: The agents of which a message of it was recorded.
+        lacked: Agents, by listener that lacked them.
+        recorded: Agents of which a message was recorded.
         """
         found: dict[str, int] = {}
         lacking = defaultdict[str, set[str]](set)

@@ -1,4 +1,4 @@
-"""What a recording holds, and how the run fared by it: counts, losses, faults, states of agents."""
+"""What a recording holds: counts, losses and states of agents."""
 
 from __future__ import annotations
 
@@ -95,7 +95,6 @@ class Overview(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def unrecorded(self) -> list[AgentSpan]:
-        """When the plant was not recorded: the recorder did not hear it."""
         return sorted(
             (span for span in self.states if span.is_unrecorded_plant),
             key=lambda span: span.first_cycle,
@@ -111,7 +110,6 @@ def read_through(
 ) -> tuple[Overview, Gaps]:
     """Go through a recording once; return what it holds, and the messages of each port.
 
-    listener: Sees the messages of its ports.
     run_cycles: How many cycles the run had, if that is known from elsewhere.
     """
     plan = run.plan

@@ -1,4 +1,4 @@
-"""The timeline of nodes: what each one measured, estimated, got and gave, cycle by cycle."""
+"""The timeline of nodes, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class NodeCycle(msgspec.Struct):
 
 
 def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[list[NodeCycle]]:
-    """Yield each cycle in order: what the recording says of some nodes in it."""
+    """Yield what the recording says of some nodes, cycle by cycle."""
     tree = run.plan.tree
     opened: dict[int, dict[str, NodeCycle]] = {}
     orders = OrderHistory()
@@ -109,7 +109,7 @@ def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Messa
 def _add(
     cycle: dict[str, NodeCycle], tree: ControlTree, port: Port[Message], message: Message
 ) -> None:
-    """Enter what a message says of its node, its sender, and the node's parent and siblings."""
+    """Enter a message at its node, its sender, and the node's parent and siblings."""
     own = cycle.get(port.node)
     parent = None if port.node == ROOT else cycle.get(parent_of(port.node))
     sender = cycle.get(ROOT if message.source == CENTRAL else message.source)

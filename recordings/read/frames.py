@@ -1,7 +1,4 @@
-"""The messages of one signal, or the lists in them, as tables.
-
-The lists are help given, the inverters of a production, agents given up, and missing inputs.
-"""
+"""The messages of one signal, or the lists in them, as tables."""
 
 from __future__ import annotations
 

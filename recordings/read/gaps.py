@@ -1,7 +1,7 @@
 """What is missing in a recording: messages, cycles without a message, inputs at deadlines.
 
-Every message has a number on its key, from 0 on, and names the inputs that its sender missed. All
-that is said here follows from cycles and numbers: messages may come in any order.
+Every message has a number on its key, from 0 on, and names the inputs that its sender missed.
+Cycles and numbers alone count: messages may come in any order.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _decode_lacks = msgspec.msgpack.Decoder(_Lacks).decode
 
 
 def lacks(payload: bytes) -> tuple[str, ...]:
-    """Return what a message says is missing; nothing of a wrong one, which readers name."""
+    """Return the `missing` of a message; empty of a wrong one, which readers name."""
     if _NOTHING_MISSED not in payload:
         with suppress(*UNREADABLE):
             return _decode_lacks(payload).missing
@@ -50,7 +50,7 @@ def due_step(plan: RunPlan, port: Port[Message]) -> int:
 
 
 class _Series:
-    """Messages that were recorded one after the other without a gap: numbers first to last."""
+    """Messages without a gap, one after the other: numbers first to last."""
 
     __slots__ = ("first", "first_cycle", "incarnation", "last", "last_cycle")
 
@@ -133,7 +133,7 @@ class PortGaps:
         self._found: tuple[list[Stretch], int] | None = None
 
     def see(self, cycle: int, number: int, incarnation: int = 0) -> bool:
-        """Count a message; return whether it goes on where the one before it ended."""
+        """Count a message; return whether it follows the one before it without a gap."""
         self.messages += 1
         self._found = None
         if self._series:
@@ -163,12 +163,11 @@ class PortGaps:
 
     @property
     def newest(self) -> int:
-        """The newest cycle of which there is a due message."""
         stretches = self.stretches()
         return stretches[-1].last if stretches else -1
 
     def cycles(self, end: int) -> int:
-        """Return of how many due cycles before one there is a message."""
+        """Return how many due cycles before one have a message."""
         step = self._step
         return sum(
             len(range(one.first, min(one.last + 1, end), step))
@@ -177,7 +176,7 @@ class PortGaps:
         )
 
     def missing(self, end: int) -> int:
-        """Return in how many cycles before one a message was due and none came."""
+        """Return how many due cycles before one have no message."""
         if not self._step:
             return 0
         return len(range(0, end, self._step)) - self.cycles(end)
@@ -188,7 +187,7 @@ class PortGaps:
         return self._found
 
     def _evaluate(self) -> tuple[list[Stretch], int]:
-        """Return stretches and lost messages; series that turn out to be one become one."""
+        """Return stretches and lost messages; join series that turn out to be one."""
         stretches: list[Stretch] = []
         joined: list[_Series] = []
         lost, process = 0, None
@@ -291,10 +290,7 @@ class MissedInputs:
 
 
 def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
-    """Yield for each publisher cycles that may be missing, in damaged chunks or between two files.
-
-    The first and the last of them may be recorded in part, or as a whole.
-    """
+    """Yield for each publisher cycles that damaged chunks or the time between files may hide."""
     for chunk in run.followed_chunks():
         run.messages_of(chunk, ())  # So that all damaged chunks are known.
     if len(run.files) == 1 and not run.damage:

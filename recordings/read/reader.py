@@ -81,14 +81,10 @@ class RecordedMessage(NamedTuple):
 
     def message(self) -> Message:
         """Decode it; InputError if it is no message of its signal."""
-        return _decoded(self.port, self.sequence, self.payload)
-
-
-def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
-    try:
-        return port.signal.decode(payload)
-    except UNREADABLE as error:
-        raise InputError(_wrong(port, sequence, error)) from None
+        try:
+            return self.port.signal.decode(self.payload)
+        except UNREADABLE as error:
+            raise InputError(_wrong(self.port, self.sequence, error)) from None
 
 
 def _wrong(port: Port[Message], sequence: int, error: object) -> str:
@@ -119,8 +115,7 @@ class RunReader:
         self.damage: set[Chunk] = set()
         self.wrong: dict[Port[Message], str] = {}
         self.follow: Callable[[float], None] = lambda share: None
-        self._named: set[Chunk | Port[Message]] = set()
-        self._has_warned = False
+        self._said = {""}
         self._first_cycles: dict[Chunk, int | None] = {}
         self._unpacked: tuple[Chunk | None, bytes] = None, b""
         self._in_memory: dict[Chunk, bytes] = {}
@@ -266,13 +261,10 @@ class RunReader:
 
     def decoded(self, record: RecordedMessage) -> Message | None:
         """Return a message; None if it is wrong, which is then named at the end."""
-        return self._decoded(record.port, record.sequence, record.payload)
-
-    def _decoded(self, port: Port[Message], sequence: int, payload: bytes) -> Message | None:
         try:
-            return _decoded(port, sequence, payload)
+            return record.message()
         except InputError as error:
-            self.wrong.setdefault(port, str(error))
+            self.wrong.setdefault(record.port, str(error))
             return None
 
     def frames(
@@ -360,14 +352,12 @@ class RunReader:
         return f"{self.path}: {what}" if parts else ""
 
     def warn_of_damage(self) -> None:
-        """Warn of damaged parts and wrong messages that were left out, each once."""
-        new = {port: text for port, text in self.wrong.items() if port not in self._named}
-        wrong = f"{self.path}: wrong messages were skipped: {listed(list(new.values()))}"
-        damage = self.damage_text() if self.damage - self._named or not self._has_warned else ""
-        self._named |= {*new, *self.damage}
-        self._has_warned = True
-        for text in filter(None, (damage, printable(wrong) if new else "")):
+        """Warn of damaged parts and wrong messages that were left out, once with each text."""
+        wrong = f"{self.path}: wrong messages were skipped: {listed([*self.wrong.values()])}"
+        texts = {self.damage_text(), printable(wrong) if self.wrong else ""}
+        for text in sorted(texts - self._said):
             warnings.warn(text, InputWarning, stacklevel=2)
+        self._said |= texts
 
     def close(self) -> None:
         self.release()

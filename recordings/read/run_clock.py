@@ -59,7 +59,7 @@ class RunClock:
         return local.replace(microsecond=rest_ns // 1000)
 
     def text(self, cycle: int) -> str:
-        """Return the local time of day of a cycle, as exact as the cycles need."""
+        """Return the local time of day of a cycle."""
         timing = self.plan.timing
         whole = timing.cycle_ns % _SECOND_NS == timing.start_time_ns % _SECOND_NS == 0
         return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]

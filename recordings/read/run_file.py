@@ -25,7 +25,7 @@ RECOVERY_METADATA: Final = "recovery"
 
 
 def further_file(recording: Path, number: int) -> Path:
-    """Return the file in which a recording goes on, the second or a later one of its recorders."""
+    """Return the file of a later recorder of a run, from number 2 on."""
     return recording.with_stem(f"{recording.stem}-{number}")
 
 

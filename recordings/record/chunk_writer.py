@@ -91,7 +91,6 @@ class ChunkWriter:
             self._end_chunk()
 
     def flush(self) -> None:
-        """End the chunk, and hand all to the operating system."""
         self._end_chunk()
         self._file.flush()
 

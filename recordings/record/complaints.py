@@ -1,9 +1,9 @@
 """What is wrong with messages on the bus: counted by key and cause, with the first example.
 
 A publisher sends one message in a cycle, and numbers its messages upwards. A process that replaces
-it has a higher incarnation, and the replaced one publishes nothing more. Only in lockstep may it be
-replaced in the cycle in which it joined: then the next process has the same incarnation, and sends
-the same messages once more.
+it has a higher incarnation, and the replaced one publishes nothing more. In lockstep a process that
+is replaced in the cycle in which it joined has a successor of the same incarnation, which sends the
+same messages once more.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _RECORDED: Final = frozenset({Cause.OUT_OF_RANGE, Cause.DUPLICATE, Cause.CONFLIC
 
 _MOST_KINDS: Final = 500
 _MOST_UNKNOWN: Final = 5
-"""Keys and causes that are counted apart, and among them keys that a stranger has invented."""
+"""Most keys and causes that are counted apart, and among them most unknown keys."""
 
 _LONGEST: Final = 300
 """Characters of a key or an example that are kept."""
 
 
 class Complaints:
-    """All complaints of a run."""
+    """The complaints of a run."""
 
     def __init__(self, tell: Callable[[Complaint], None]) -> None:
         self._tell = tell
@@ -65,7 +65,6 @@ class Complaints:
         return sum(one.count for one in self._by_kind.values() if one.cause not in _RECORDED)
 
     def all(self) -> tuple[Complaint, ...]:
-        """Return each complaint with its count, sorted by key."""
         return tuple(self._by_kind[kind] for kind in sorted(self._by_kind))
 
 
@@ -92,7 +91,7 @@ class SecondSenders:
     def hear(
         self, port: Port[Message], cycle: int, incarnation: int, payload: bytes
     ) -> tuple[str, str] | None:
-        """Return the cause and text of a complaint, if a message does not go with earlier ones."""
+        """Return cause and text of a complaint if a message contradicts earlier ones."""
         payloads = self._payloads.get(port)
         if payloads is None:
             return None

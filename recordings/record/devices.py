@@ -1,4 +1,4 @@
-"""Says in real time which device answers late or not at all, by what its listeners lack."""
+"""Says in real time which device answers late or not at all: its listeners state what they lack."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class _Device:
 
 
 class DeviceWatch:
-    """The devices of a run that are controllers, and whether their listeners lack them."""
+    """The controllers of a run that are devices."""
 
     def __init__(self, plan: RunPlan) -> None:
         self._devices = {agent: _Device({}) for agent in plan.access.external if agent != PLANT}
@@ -37,7 +37,7 @@ class DeviceWatch:
         }
 
     def hear(self, port: Port[Message], head: Head, payload: bytes) -> Iterator[str]:
-        """Take in a message; yield what a user should know: a device is late, or in time again."""
+        """Take in a message; yield a line if a device is late, or in time again."""
         if not self._devices:
             return
         if (device := self._devices.get(port.publisher)) is not None:

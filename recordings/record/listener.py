@@ -1,4 +1,4 @@
-"""What the recorder does with each message: writes it down, and tells the checks that listen."""
+"""Writes down each message that the recorder hears, and tells the checks."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ _NAMED: Final = 3
 
 
 class _Key(NamedTuple):
-    """What the recorder knows of a key, worked out once for all its messages.
+    """Facts on a key, worked out once.
 
-    is_read: Whether its messages are decoded; the others are only written down.
+    is_read: Whether its messages are decoded.
     is_elsewhere: Whether the launcher does not start its publisher.
     last_cycle: The last cycle that a message can be of; None: that depends on the run.
     """
@@ -88,7 +88,7 @@ class RunListener:
 
     @property
     def own_heard(self) -> int:
-        """Messages of the launcher's processes that have come."""
+        """Number of messages of the launcher's processes."""
         return self._writer.heard - self._heard_elsewhere - self.senders.extra.total()
 
     def hear(self, key: str, payload: bytes) -> Ready | None:
@@ -166,7 +166,7 @@ class RunListener:
         return status
 
     def _last_cycle_of(self, port: Port[Message]) -> float:
-        """Return the last cycle that a message of an external agent can be of now."""
+        """Return the last cycle of which an external agent can send a message now."""
         if port.publisher == PLANT:
             return inf
         if not self._arming.answered:

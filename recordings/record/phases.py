@@ -1,4 +1,4 @@
-"""A run as the recorder follows it: arming rounds, cycles, where it stands, and the end of all.
+"""A run as the recorder follows it: arming rounds, cycles, and the end.
 
 The plant begins the run once the recorder has heard every port in one arming round.
 """
@@ -17,24 +17,20 @@ from bus_schemas.tree import PLANT
 from recordings.read.gaps import due_step
 
 _STOP_WAIT_S: Final = 0.5
-"""How long a stop before the run's last cycle may be contradicted by the plant, and more in real
-time, before it counts."""
+"""How long, and longer in real time, the plant may contradict a stop before the last cycle."""
 
 _QUIET_S: Final = 0.5
 _LONGEST_QUIET_S: Final = 2.0
-"""How long in all the recorder waits at the end for messages that do not come: of those who do not
-say how many to expect, as devices, and of those who do."""
+"""How long in all the recorder waits at the end for messages that do not come: of devices, and of
+processes, which say how many to expect."""
 
 _MOST_OF_OTHERS: Final = 100_000
-"""How many messages from outside the launcher's processes are still recorded at the end: more than
-a flooding device can have waiting (some 45,000 here), but not an endless flood."""
+"""How many messages of other programs are still recorded at the end: more than a flooding device
+can have waiting (some 45,000 here)."""
 
 
 class ArmingRound:
-    """The round under way: which of the messages that come in each round have been heard.
-
-    `answered`: Whether a round has been complete.
-    """
+    """The messages heard in the round under way. `answered`: Whether a round has been complete."""
 
     def __init__(self, plan: RunPlan, *, answered: bool = False) -> None:
         self.answered = answered
@@ -44,10 +40,9 @@ class ArmingRound:
         self._last: dict[Port[Message], int] = {}
 
     def hear(self, port: Port[Message], cycle: int) -> bool:
-        """Take in a message of a round; return whether it completes the round.
+        """Take in a message; return whether it completes the round.
 
-        Only the plant begins a round. A message of a later round is remembered, in case it has
-        overtaken the plant's messages.
+        Only the plant begins a round. A message of a later one may have overtaken the plant's.
         """
         if port.publisher == PLANT and (self._cycle is None or cycle > self._cycle):
             self._cycle = cycle
@@ -64,7 +59,7 @@ class ArmingRound:
         return sorted({port.publisher for port in self._all - self._last.keys()})
 
     def unheard(self, agents: Collection[str]) -> list[str]:
-        """Keys, without the plant's name, on which nothing of some agents came in this round."""
+        """Return the keys on which nothing of some agents came in this round."""
         return sorted(str(port) for port in self._open if port.publisher in agents)
 
 
@@ -72,7 +67,7 @@ _FOLLOWED: Final = frozenset({Dispatch, Help, Production, Run})
 
 
 class RunProgress:
-    """Where a run stands: what the plant has begun, completed and said of its end.
+    """Where a run stands, by what the plant has begun, completed and said of its end.
 
     A stop before a cycle that the plant has begun is false: another program sent it.
 
@@ -95,7 +90,7 @@ class RunProgress:
         return self.newest_cycle + 1 if self.stop_cycle is None else self.stop_cycle
 
     def hear(self, port: Port[Message], message: Message, now_s: float = 0.0) -> int | None:
-        """Take in a message; return the cycle of a stop that is, or so turns out to be, false."""
+        """Take in a message; return the cycle of a stop that turns out to be false."""
         if type(message) not in _FOLLOWED:  # `simulate` asks of each message.
             return None
         match message:
@@ -126,7 +121,7 @@ class RunProgress:
         return self.stop_cycle is not None
 
     def status(self, recorded: int) -> Status:
-        """Return where the run stands; its cycle is -1 before the first one is over."""
+        """Return where the run stands; before the first cycle is over, in cycle -1."""
         last = self._last
         if last is None:
             return Status(-1, 0, 0.0, 0.0, 0.0, [], recorded)
@@ -147,9 +142,9 @@ def longest_pause_s(plan: RunPlan) -> float:
 
 
 class Closing:
-    """Waits for the last messages of a run, from when somebody asks for its end.
+    """Waits for the last messages of a run once somebody asks for its end.
 
-    `expected`: Messages of the launcher's processes; None: not known.
+    expected: Messages of the launcher's processes; None: not known.
     """
 
     def __init__(self, *, has_others: bool = False) -> None:

@@ -23,10 +23,10 @@ _StageKey: TypeAlias = tuple[str, str]
 class Reach:
     """When the recorder last heard each agent, and which processes no listener hears.
 
-    A stage of a listener lacks a process if all that it awaits from it is missing. It proves that
-    the process is not heard only if this says what the stage awaits, as far as the recorder hears
-    it: one that lacks its own inputs may have nothing to say. A listener that lacks all others is
-    the one cut off. What a device says it lacks does not count.
+    A stage of a listener lacks a process if all messages that it awaits from it are missing. That
+    proves nothing where the recorder does not hear them either: a process that lacks its own inputs
+    may have nothing to say. A listener that lacks all others is itself cut off. Devices give no
+    evidence.
     """
 
     def __init__(self, plan: RunPlan, now_ns: int) -> None:
@@ -76,8 +76,7 @@ class Reach:
     def not_recorded(self, now_ns: int) -> list[str]:
         """Return the agents that the recorder has not heard for a while.
 
-        Called several times a second: after a longer time the recorder itself stood still, which
-        proves nothing.
+        Between two calls with a long time between them the recorder itself stood still.
         """
         if now_ns > self._looked_at_ns + self._pause_ns:
             self._heard_at_ns = dict.fromkeys(self._heard_at_ns, now_ns)
@@ -101,7 +100,7 @@ class Reach:
         return sorted(lacked - heard)
 
     def _says(self, process: str, keys: set[str]) -> bool:
-        """Whether a process says one of these things while it says anything at all."""
+        """Whether a process publishes on one of these keys while it publishes at all."""
         newest = max(self._newest[name] for name in self._plan.wiring.members[process])
         return max(self._said_in[key] for key in keys) >= newest - self._silent_cycles
 

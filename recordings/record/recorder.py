@@ -70,10 +70,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
 
 
 def next_file(first: Path) -> tuple[Path, ClockAnchor | None]:
-    """Return the file to write, and the clock anchor of the run's first file, which all share.
-
-    Of the first file only what stands before its messages is read, however long it is.
-    """
+    """Return the file to write, and the clock anchor of the run's first file, which all share."""
     path, number = first, 1
     while path.exists():
         number += 1
@@ -115,7 +112,6 @@ class Recorder:
         self._listener = RunListener(plan, writer, link.tell, now_ns, joins_late=link.starts > 0)
 
     def run(self) -> None:
-        """Record until the launcher ends it, then close the file and report."""
         closing, listener, progress = self._closing, self._listener, self._listener.progress
         now = flush_at = status_at = self._now_s()
         while not closing.is_over(now, listener.own_heard):
@@ -151,7 +147,6 @@ class Recorder:
         return self._now_ns() / 1e9
 
     def _ask_launcher(self) -> None:
-        """Look whether the recording is to end, and how many messages to expect."""
         closing, link = self._closing, self._link
         expected = link.expected_messages()
         if expected is not None:
@@ -169,7 +164,7 @@ class Recorder:
         self._link.tell(self._listener.status())
 
     def _account(self) -> Recorded:
-        """Return what is in this recorder's file alone."""
+        """Return the account of this recorder's file."""
         listener = self._listener
         progress = listener.progress
         cycles = progress.cycles if self._link.starts else progress.completed

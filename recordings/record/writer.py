@@ -50,7 +50,6 @@ class ClockAnchor:
 
     @classmethod
     def of(cls, metadata: Mapping[str, Mapping[str, str]], path: Path) -> ClockAnchor:
-        """Return that of the recording at a path, from its metadata."""
         anchor = metadata.get("clock_anchor", {})
         try:
             return cls(int(anchor["monotonic_ns"]), int(anchor["wall_ns"]))
@@ -125,7 +124,7 @@ class RunWriter:
         return +counts
 
     def flush(self) -> None:
-        """Hand all that was added to the operating system, so that a crash does not lose it."""
+        """Hand all messages to the operating system, so that a crash does not lose them."""
         self._unless_ended(self._writer.flush)
 
     def close(self) -> None:
@@ -133,7 +132,6 @@ class RunWriter:
         self._unless_ended(self._file.close)
 
     def abandon(self) -> None:
-        """Close the file as it is, after a failed write."""
         with suppress(*_UNWRITABLE):  # The library tries the failed write again.
             self._file.close()
 

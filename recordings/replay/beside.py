@@ -93,7 +93,7 @@ class ReplayBeside(ReplayBus):
                 return
 
     def put(self, port: Port[Message], payload: bytes) -> bool:
-        """Publish a recorded message; return whether it was sent. The run begins and ends today."""
+        """Publish a recorded message; return whether it was sent. The run begins today."""
         if port.signal is not RUN:
             return super().put(port, payload)
         run = RUN.decode(payload)
@@ -131,7 +131,7 @@ class ReplayBeside(ReplayBus):
         return first
 
     def _complete(self, cycles: int) -> None:
-        """Go on to some number of cycles: in lockstep, wait until they are over."""
+        """Go on to a number of cycles; in lockstep, wait until they are over."""
         while self.cycles < cycles and not self._interruption:
             if self._plan.timing.lockstep and not self._await_cycle(self.cycles, None):
                 return
@@ -157,7 +157,7 @@ class ReplayBeside(ReplayBus):
         return True
 
     def _receive(self, wanted: int) -> None:
-        """Take in what the processes publish, within a moment."""
+        """Take in messages of the processes, within a moment."""
         for port, received, _ in self._inbox.take(wanted, _LOOK_S):
             assert isinstance(port, Port)  # Each process has one agent.
             try:
@@ -211,7 +211,7 @@ def _commands(left_out: Collection[str], plan: Path, module: str) -> Iterator[st
 
 
 def _complete_cycles(reader: RunReader, end: str | None) -> RunPlan:
-    """Return the plan with the cycles to replay: those that are complete in the recording."""
+    """Return the plan with the complete cycles of the recording."""
     complete = reader.last_cycle + 1
     if reader.stop_cycle is None:  # The run or the recording broke off.
         complete = max(reader.last_cycle - reader.plan.control.periods.longest, 0)
@@ -222,10 +222,7 @@ def _complete_cycles(reader: RunReader, end: str | None) -> RunPlan:
 
 
 def _plan_beside(plan: RunPlan, tcp_ports: dict[str, int]) -> RunPlan:
-    """Return the plan by which the processes find each other, and all others at one TCP port.
-
-    Each of them has a process of its own.
-    """
+    """Return the plan by which the processes find each other, and all others at one TCP port."""
     plan = changed(
         plan.public,
         faults={"rules": (), "device": ()},

@@ -19,7 +19,7 @@ from recordings.replay.bus import ReplayBus, StatusLine, await_subscriber, repla
 from recordings.replay.schedule import in_publish_order, positions
 
 _LOOK_S: Final = 0.02
-"""How often the user's wish for an end is looked for."""
+"""How often Ctrl-C is looked for."""
 
 
 @dataclass(frozen=True)
@@ -152,10 +152,7 @@ class Playback:
         return left_s <= 0.0
 
     def _due_ns(self, position_ns: int) -> int:
-        """Return when a position is reached.
-
-        Every time is counted from the first message, so errors do not add up.
-        """
+        """Return when a position is reached, counted from the first message."""
         began_ns, at_ns = self._anchor_ns
         return at_ns + round((position_ns - began_ns) / self.rate) if self.rate else at_ns
 

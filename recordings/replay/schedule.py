@@ -1,4 +1,4 @@
-"""In which order a replay sends the messages of a recording, and when each of them is due."""
+"""The order in which a replay sends messages, and when each is due."""
 
 from __future__ import annotations
 

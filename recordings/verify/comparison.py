@@ -95,7 +95,7 @@ KINDS: Final = {
 """How new messages can differ from the recorded ones."""
 
 LOSSES: Final = frozenset({"only new", "not recorded", "input not recorded"})
-"""What shows that the recording lacks messages, and no agent decides otherwise."""
+"""Kinds that only show that the recording lacks messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +168,6 @@ class AgentResult:
         self.add(Difference(kind, message.cycle, stage, str(port), fields, message, used, refused))
 
     def add(self, difference: Difference) -> None:
-        """Count a difference, and keep it if it is the first."""
         self.differences[difference.kind] += 1
         self.last_cycle = max(self.last_cycle, difference.cycle)
         if difference.kind == "fails":

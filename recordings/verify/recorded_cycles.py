@@ -61,7 +61,7 @@ class RecordedCycles:
         )
 
     def was_away(self, publisher: str, first: int, last: int | None = None) -> bool:
-        """Whether the recorder may have missed a publisher in a cycle, or in one of several."""
+        """Whether the recorder may have missed a publisher in some cycle of these."""
         last = first if last is None else last
         return any(
             name == publisher and first < absence.stop and last >= absence.start
@@ -99,7 +99,7 @@ class RecordedCycles:
         self.misplaced += not is_begun and agent not in self._plan.access.external
 
     def _pop(self) -> tuple[int, RecordedCycle]:
-        """Return the next cycle; forget the one that is too old to be an input of it."""
+        """Return the next cycle; forget the one that is too old for its inputs."""
         cycle, self._next = self._next, self._next + 1
         control = self._plan.control
         self._messages.pop(cycle - control.hold_cycles - control.periods.longest - 1, None)

@@ -173,7 +173,7 @@ class AgentRerun:
         return process
 
     def _lose(self, process: Process, cycle: int, why: str) -> None:
-        """Note that a process used or sent a message that is not known."""
+        """Note that a process used or sent an unknown message."""
         gap = Gap(cycle, None, why)
         if process.agent.initial_state() is None:
             gap.until = cycle + 1  # It remembers nothing.
@@ -299,7 +299,7 @@ class AgentRerun:
         )
 
     def _compare(self, process: Process, now: CycleUnderWay, outputs: Messages) -> None:
-        """Compare the outputs of the stage under way; remove what has been compared."""
+        """Compare the outputs of the stage under way; remove those compared."""
         recorded = now.recorded.get(now.stage, {})
         for port, new in outputs.items():
             old = recorded.pop(port, None)
@@ -320,7 +320,7 @@ class AgentRerun:
         self.result.compare(self._equality, port, old, new, now.stage, now.used, refused)
 
     def _has_lost_outputs(self, process: Process, now: CycleUnderWay) -> bool:
-        """Whether there is a gap in the sequence numbers: the recording lost messages there."""
+        """Whether the sequence numbers have a gap: the recording lost messages."""
         is_lost = False
         outputs = [(stage, *pair) for stage, of in now.recorded.items() for pair in of.items()]
         for stage, port, message in outputs:
