@@ -114,7 +114,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         is_ramped = any(one.grid.moves_target for one in self.plants)
         return CorrectionLaw(
             is_on=control.correction,
-            rating_kw=self.tree.inverters_kw(node),
+            rating_kw=self.tree.inverters_kw(node) if node else self.tree.rating_kw(ROOT),
             cycle_s=cycle_s,
             turn_s=turn_s,
             delay_s=delay_s,

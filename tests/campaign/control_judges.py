@@ -50,7 +50,7 @@ def share_kw(run: FaultyRun, one: Decision, node: str) -> float | None:
     dispatch, plant_kw = one.used["dispatch"], run.rating_kw()
     if dispatch is None:
         return None
-    return float(min(max(dispatch.power_kw, 0.0), plant_kw) * run.rating_kw(node) / plant_kw)
+    return float(min(max(dispatch.power_kw, 0.0), plant_kw) * run.sharing_kw(node) / plant_kw)
 
 
 def estimates(run: FaultyRun) -> Breaches:
@@ -142,6 +142,10 @@ def reports(run: FaultyRun) -> Breaches:
         if children:
             impp_kw = sum(_counts_kw(run, one, child) for child in children)
             due_kw = sum(_left_kw(run, one, child) for child in children)
+            plant = next((its for its in run.plan.plants if its.name == one.node), None)
+            if plant is not None:  # It reports what it may feed in.
+                impp_kw = max(min(net_kw(run, impp_kw, one.node), plant.export_limit_kw), 0.0)
+                due_kw = impp_kw - (own_kw or 0.0)
             age = max(_age(run, one, child) for child in children)
             if report.stale_cycles != age:
                 yield one.cycle, f"{one.agent} says {report.stale_cycles} cycles old, not {age}"
@@ -179,8 +183,9 @@ def _left_kw(run: FaultyRun, one: Decision, child: str) -> float:
 def _divisions(run: FaultyRun) -> Iterator[tuple[Decision, Any, Any, Any, float]]:
     """Yield what each parent gives, what its children have, who is silent, and its target.
 
-    The central controller's target, corrected by the meter, is in its shares alone.
+    A target that is corrected by a meter is in its shares alone.
     """
+    metered = {CENTRAL, *(one.name for one in run.plan.plants)}
     for one in run.of_stage("solve"):
         children = run.children(one.node)
         given = [one.sent.get(key(child, "setpoint")) for child in children]
@@ -189,7 +194,7 @@ def _divisions(run: FaultyRun) -> Iterator[tuple[Decision, Any, Any, Any, float]
         silent = np.array([one.used[key(child, "impp")] is None for child in children])
         has_kw = np.array([_counts_kw(run, one, child) for child in children])
         target_kw = sum(setpoint.share_kw for setpoint in given if setpoint)
-        if one.agent != CENTRAL:
+        if one.agent not in metered:
             setpoint = one.used[key(one.node, "setpoint")]
             wanted_kw = share_kw(run, one, one.node) if setpoint is None else setpoint.power_kw
             wanted_kw = max((wanted_kw or 0.0) - sum(_of_storages_kw(run, one).values()), 0.0)

@@ -14,7 +14,7 @@ import control_judges
 import numpy as np
 import plant_judges
 from numpy.typing import NDArray
-from plant_judges import Breaches, net_kw, true_mpp_kw
+from plant_judges import Breaches, fed_in_kw, true_mpp_kw
 from run_trace import FaultyRun, key
 
 from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
@@ -75,12 +75,12 @@ def over_delivery(run: FaultyRun) -> Breaches:
 def under_delivery(run: FaultyRun) -> Breaches:
     """Check that it does not deliver less than all inverters would if each acted by itself."""
     leaves = run.plan.tree.leaves
-    ratings_kw = np.array([run.rating_kw(leaf) for leaf in leaves])
+    ratings_kw = np.array([run.sharing_kw(leaf) for leaf in leaves])
     mpp_kw = np.array([true_mpp_kw(run, cycle) for cycle in run.trace.cycles])
     shares_kw = np.outer(_desired_kw(run), ratings_kw / ratings_kw.sum())
-    fed_in_kw = net_kw(run, np.minimum(mpp_kw, shares_kw).sum(axis=1))
+    alone_kw = fed_in_kw(run, np.minimum(mpp_kw, shares_kw))
     if not run.plan.grid.moves_target:
-        yield from _lasting(run, fed_in_kw - run.trace.delivered_kw)
+        yield from _lasting(run, alone_kw - run.trace.delivered_kw)
 
 
 def recovery(run: FaultyRun) -> Breaches:
@@ -204,6 +204,7 @@ JUDGES: Final[dict[str, Callable[[FaultyRun], Breaches]]] = {
     "inverters": plant_judges.inverters,
     "meters": plant_judges.meters,
     "storages": plant_judges.storages,
+    "export": plant_judges.export,
     "inputs": inputs,
     "estimates": control_judges.estimates,
     "reports": control_judges.reports,
@@ -245,7 +246,8 @@ def worth(run: FaultyRun) -> Worth:
     asked_kw, delivered_kw = _desired_kw(run), run.trace.delivered_kw
     if run.plan.grid.moves_target:
         asked_kw = np.array([*_aimed_kw(run)])
-    possible_kw = net_kw(run, np.array([true_mpp_kw(run, k).sum() for k in run.trace.cycles]))
+    mpp_kw = np.array([true_mpp_kw(run, k) for k in run.trace.cycles])
+    possible_kw = fed_in_kw(run, mpp_kw, most=1.0)
     due_kw = np.minimum(asked_kw, possible_kw)
     enough = possible_kw > 1.05 * asked_kw
     short = np.maximum(due_kw - delivered_kw, 0.0).sum() / due_kw.sum()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
 from math import ceil, inf, isnan, nan
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,10 @@ from run_trace import EXACT, FaultyRun, key
 
 from agents.faults import Trip
 from agents.plan_parts import PlannedOrder
+
+OVER_LIMIT: Final = 1.02
+OVER_FOR: Final = 2
+"""By how much, and for how many cycles, a plant of a fleet may be above its export limit."""
 
 Breaches = Iterator[tuple[int, str]]
 
@@ -70,11 +74,31 @@ def _offers(run: FaultyRun) -> dict[int, float]:
     }
 
 
-def net_kw(run: FaultyRun, power_kw: Any) -> Any:
-    """Return what is left of a power at the meter [kW]."""
-    grid, rating_kw = run.plan.grid, run.rating_kw()
+def net_kw(run: FaultyRun, power_kw: Any, plant: str = "") -> Any:
+    """Return what is left of a power at the meter, of all or of a plant of a fleet [kW]."""
+    grids = {"": run.plan.grid, **{one.name: one.grid for one in run.plan.plants}}
+    grid, rating_kw = grids[plant], run.inverters_kw(plant)
     constant, square = grid.loss_constant_percent / 100.0, grid.loss_quadratic_percent / 100.0
     return power_kw - (constant * rating_kw + square * power_kw**2 / rating_kw)
+
+
+def fed_in_kw(run: FaultyRun, power_kw: Any, stored_kw: float = 0.0, most: float = inf) -> Any:
+    """Return what is fed in of the powers of all inverters: a fleet's plants each lose their own.
+
+    Of a plant no more than `most` of its export limit counts. Fleets of the campaign have no
+    storages.
+    """
+    if not run.plan.plants:
+        return net_kw(run, power_kw.sum(axis=-1) + stored_kw)
+    return sum(
+        np.minimum(plant_kw(run, power_kw, one.name), most * one.export_limit_kw)
+        for one in run.plan.plants
+    )
+
+
+def plant_kw(run: FaultyRun, power_kw: Any, plant: str) -> Any:
+    """Return what a plant of a fleet feeds in."""
+    return net_kw(run, power_kw[..., run.columns(plant)].sum(axis=-1), plant)
 
 
 def true_mpp_kw(run: FaultyRun, cycle: int) -> NDArray[np.float64]:
@@ -99,7 +123,8 @@ def inverters(run: FaultyRun) -> Breaches:
     to = [one.to for one in reverts]
     after = np.array([whole_cycles(one.after_s, cycle_s) for one in reverts])
     first_kw = run.profile.commitment_kw[0] + run.profile.regulation_kw[0]
-    share_kw = ratings_kw * (min(max(first_kw, 0.0), ratings_kw.sum()) / ratings_kw.sum())
+    sharing_kw = np.array([run.sharing_kw(leaf) for leaf in leaves])
+    share_kw = sharing_kw * (min(max(first_kw, 0.0), sharing_kw.sum()) / sharing_kw.sum())
     reverts_kw = ratings_kw * [1.0 if isinstance(one, str) else one for one in to]
     # When the run begins an inverter holds its share of the first dispatch.
     power_kw, renewed = run.profile.mpp_kw[0], np.zeros(count)
@@ -166,8 +191,8 @@ def meters(run: FaultyRun) -> Breaches:
         cycle, power_kw = made.cycle, np.array(made.inverter_power_kw)
         now_stored_kw = sum(made.storage_power_kw or ())
         due = {
-            "delivered_kw": net_kw(run, power_kw.sum() + now_stored_kw),
-            "available_kw": net_kw(run, true_mpp_kw(run, cycle).sum()),
+            "delivered_kw": fed_in_kw(run, power_kw, now_stored_kw),
+            "available_kw": fed_in_kw(run, true_mpp_kw(run, cycle), most=1.0),
             "dispatch_kw": run.trace.of["dispatch"][cycle][0].power_kw,
         }
         for name, kw in due.items():
@@ -175,7 +200,13 @@ def meters(run: FaultyRun) -> Breaches:
                 yield cycle, f"production: {name} {getattr(made, name):,.3f}, not {kw:,.3f}"
         meter = run.trace.of["meter"][cycle][0]
         if last_kw is not None:
-            due_kw = net_kw(run, last_kw.sum() + stored_kw) * factor
+            due_kw = fed_in_kw(run, last_kw, stored_kw) * factor
+            if run.plan.plants:
+                due_kw = sum(_read_kw(run, one, last_kw) for one in run.plan.plants)
+            for one in run.plan.plants:
+                shown_kw = run.trace.of[key(one.name, "meter")][cycle][0].power_kw
+                if abs(shown_kw - _read_kw(run, one, last_kw)) > near_kw:
+                    yield cycle, f"the meter of {one.name} shows {shown_kw:,.3f} kW"
             if abs(meter.power_kw - due_kw) > near_kw:
                 yield cycle, f"the meter shows {meter.power_kw:,.3f} kW, not {due_kw:,.3f} kW"
             yield from _wrong_telemetry(run, cycle, last_kw)
@@ -199,6 +230,24 @@ def memory(run: FaultyRun) -> Breaches:
             yield one.cycle, f"the meter repeats {repeated}, not {due}, which was stated last"
         if one.used["memory"] is not None:
             stated, is_known = one.used["memory"], "memory" not in one.doubtful
+
+
+def _read_kw(run: FaultyRun, one: Any, power_kw: Any) -> float:
+    """Return what the meter of a fleet's plant reads."""
+    error = one.grid.meter_error_percent / 100.0
+    return float(plant_kw(run, power_kw, one.name) * (1.0 + error))
+
+
+def export(run: FaultyRun) -> Breaches:
+    """Check that no plant of a fleet feeds in more than it may for long."""
+    for one in run.plan.plants:
+        since = 0
+        for made in run.trace.produced:
+            kw = plant_kw(run, np.array(made.inverter_power_kw), one.name)
+            if kw <= one.export_limit_kw * OVER_LIMIT:
+                since = made.cycle + 1
+            elif made.cycle - since >= OVER_FOR:
+                yield made.cycle, f"{one.name} feeds in {kw:,.1f} kW"
 
 
 def storages(run: FaultyRun) -> Breaches:

@@ -189,6 +189,12 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
         },
         Worth(0.0008, 0.0021, 0.0031, 0.0, 1.1),
     ),
+    "fleet": CampaignPlant(
+        str(Path(__file__).with_name("fleet.toml")),
+        "150s",
+        {},
+        Worth(0.0027, 0.0005, 0.0018, 0.0, 0.92),
+    ),
     "valley": CampaignPlant(
         "valley", "150s", {"commitment.share": 0.7}, Worth(0.0011, 0.0006, 0.0008, 0.0, 0.92)
     ),

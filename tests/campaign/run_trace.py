@@ -124,6 +124,23 @@ class FaultyRun:
     def rating_kw(self, node: str = ROOT) -> float:
         return self.plan.tree.rating_kw(node)
 
+    def inverters_kw(self, node: str = ROOT) -> float:
+        """Return the sum of the ratings of the inverters at or below a node."""
+        inverters = self.plan.inverters
+        return sum(kw for path, kw in inverters if not node or f"{path}/".startswith(f"{node}/"))
+
+    def sharing_kw(self, node: str) -> float:
+        """Return the rating by which a node shares the dispatch: of a plant what it may feed in."""
+        limits_kw = {one.name: one.export_limit_kw for one in self.plan.plants}
+        plant = node.split("/", maxsplit=1)[0]
+        part = limits_kw[plant] / self.inverters_kw(plant) if limits_kw else 1.0
+        return self.inverters_kw(node) * part
+
+    def columns(self, plant: str) -> list[int]:
+        """Return the places of a plant's inverters."""
+        leaves = self.plan.tree.leaves
+        return [at for at, leaf in enumerate(leaves) if leaf.split("/")[0] == plant]
+
     def children(self, node: str) -> tuple[str, ...]:
         """Return those among which a parent shares out its target: no storages."""
         tree = self.plan.tree
@@ -145,6 +162,9 @@ class FaultyRun:
         if node == ROOT:
             return (Stage("solve", given, (*heard, "dispatch", "meter")),)
         report = Stage("report", reports, (*heard, "dispatch"))
+        if node in {one.name for one in self.plan.plants}:
+            heard = (*heard, key(node, "meter"))
+            report = Stage("report", (*reports, key(node, "memory")), (*heard, "dispatch"))
         solve = Stage("solve", given, (own, *heard, "dispatch"))
         return (report, solve) if self.acts(node, cycle) else (report,)
 

@@ -26,6 +26,7 @@ from plans_by_hand import plan_of, with_changes
 
 from agents.plan import RunPlan
 from agents.process.session import session_settings
+from agents.settings import FleetPlant
 from bus_schemas.errors import InputError
 from bus_schemas.signals import CLOCK, ports
 from bus_schemas.tcp_ports import reserved_ports
@@ -35,7 +36,8 @@ from launch_scripts.launch import private_folder
 from scenarios.elsewhere import listening
 from scenarios.plant_keys import make_keys
 
-BARE = plan_of({"c1/a": 100.0, "c2/b": 100.0})
+PLANTS = (FleetPlant(name="c1", export_limit_kw=100.0), FleetPlant(name="c2", export_limit_kw=50.0))
+BARE = with_changes(plan_of({"c1/a": 100.0, "c2/b": 100.0}), plants=PLANTS)
 AGENTS = BARE.tree.agents()
 PORTS = [port for port in ports(BARE.tree) if port.signal is not CLOCK]
 LISTENING = BARE.links.listening
@@ -263,6 +265,16 @@ def test_with_the_keys_of_an_agent_a_program_can_say_what_that_agent_may_and_no_
 ) -> None:
     found = with_keys.intrude(keys=KeyFiles.of(keys / "own", agent))
     assert found == with_keys.can_forge(agent)
+
+
+@pytest.mark.parametrize("agent", ["c1", "c1/a"])
+def test_with_the_keys_of_a_plant_nothing_can_be_said_to_another_plant(
+    with_keys: Team, keys: Path, agent: str
+) -> None:
+    found = with_keys.intrude(keys=KeyFiles.of(keys / "own", agent))
+    assert found == with_keys.can_forge(agent)
+    assert found
+    assert not [name for name, _ in found if name.startswith("c2")]
 
 
 @pytest.mark.soak
