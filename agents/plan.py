@@ -77,7 +77,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def pursuit(self) -> Pursuit:
         """How the inverters together follow what they are asked for, in turns."""
-        law, tree, ramp_kw = self.correction_law, self.tree, 0.0
+        law, tree, ramp_kw = self.correction_law(), self.tree, 0.0
         for leaf in tree.leaves:
             percent = self.site.settings_of(leaf).ramp_percent_per_s
             share = 1.0 if percent is None else min(percent / 100.0 * law.turn_s, 1.0)
@@ -99,11 +99,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def grid_law(self) -> GridLaw:
         return self.grid_laws[ROOT]
 
-    @cached_property
-    def correction_law(self) -> CorrectionLaw:
-        return self.correction_law_of(ROOT)
-
-    def correction_law_of(self, node: str) -> CorrectionLaw:
+    def correction_law(self, node: str = ROOT) -> CorrectionLaw:
         """How a target is corrected. Real inverters are read a cycle later, on unknown ramps."""
         site, control, cycle_s = self.site, self.control, self.timing.cycle_s
         leaves = [self.tree.leaves[at] for at in self.tree.leaves_below(node)]

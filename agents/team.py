@@ -22,10 +22,10 @@ def controller(plan: RunPlan, name: str) -> Controller:
     """Return the controller of a name: `central`, or the path of a cluster or an inverter."""
     tree, control = plan.tree, plan.control
     if name == CENTRAL:
-        feedback = Feedback(plan.correction_law, plan.grid_law)
+        feedback = Feedback(plan.correction_law(), plan.grid_law)
         return CentralController(tree, control, feedback, plan.offer_law, plan.pursuit)
     if name in tree.meters:
-        feedback = Feedback(plan.correction_law_of(name), plan.grid_laws[name])
+        feedback = Feedback(plan.correction_law(name), plan.grid_laws[name])
         return Supervisor(name, tree, control, feedback)
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)

@@ -147,10 +147,7 @@ class ControlTree:
         return self._ratings_kw[path]
 
     def sharing_kw(self, path: str) -> float:
-        """Rating by which a node shares the dispatch: 0 of a storage.
-
-        In a fleet, so that the shares of a plant's inverters are what it may feed in at most.
-        """
+        """Rating by which a node shares the dispatch: in a fleet what its plant may feed in."""
         if self.is_storage(path):
             return 0.0
         plant, slash, _ = path.partition("/")

@@ -1129,8 +1129,6 @@ REPORTS: Final = ("impp", "residual")
 def fleet_days(places: Sequence[int]) -> list[Preparation]:
     """Return days of some plants of the fleet, without storages, under a clear-sky promise."""
     plants = msgspec.to_builtins(load_scenario("fleet").scenario.plants)
-    for place, plant in enumerate(plants):  # The same history wherever a plant is in the list.
-        plant["seed"] = 6 + SEEDS_APART * place
     wanted = {"kind": "share-of-clear-sky", "share": 1.0}
     changes = [("plants", [plants[place] for place in places]), ("commitment", wanted)]
     days = [

@@ -95,6 +95,7 @@ class RunView:
                 for node in tree.nodes
             ],
             "positions_m": plan.site.positions_m,
+            "plants": tree.meters[1:],
             "has_clouds": irradiance.get("kind") == "clouds" and bool(plan.site.positions_m),
             "cycles": plan.timing.cycles,
             "cycle_s": plan.timing.cycle_ns / 1e9,

@@ -38,10 +38,6 @@ class Member:
     number: int
     file: ScenarioFile
 
-    def run_seed(self, seed: int | None) -> int | None:
-        """Return the seed of its sky in a run with this `--seed`."""
-        return None if seed is None else seed + SEEDS_APART * self.number
-
     def placed(self, source: PowerSource) -> PowerSource:
         """Return its power where it stands."""
         lat, lon = self.entry.lat, self.entry.lon
@@ -119,7 +115,11 @@ def _file_of(fleet_file: ScenarioFile, entry: PlantEntry, number: int) -> Scenar
     fleet, name = fleet_file.scenario, entry.scenario
     if name.endswith(".toml"):
         name = str(fleet_file.data_path(name))
-    file = with_settings(load_scenario(name, fleet_file.data_folder), [*entry.set.items()], "set")
+    file = load_scenario(name, fleet_file.data_folder)
+    try:
+        file = with_settings(file, [*entry.set.items()])
+    except InputError as error:
+        raise error.renamed("set") from None
     scenario = file.scenario
     for field, is_wrong in (
         ("plants", scenario.plants),

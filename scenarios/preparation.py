@@ -46,7 +46,7 @@ from scenarios.elsewhere import (
     real_devices,
 )
 from scenarios.fault_rules import fault_rules
-from scenarios.fleet import Member, members, named_plant
+from scenarios.fleet import SEEDS_APART, Member, members, named_plant
 from scenarios.power_sources import power_source
 from scenarios.real_time import cycle_wall_ns, parse_pace, process_groups
 from scenarios.run_options import RunOptions
@@ -256,7 +256,8 @@ def _fleet_day(
         own = member.file.scenario
         own = replace(own, time=replace(own.time, cycle_s=scenario.time.cycle_s))
         with named_plant(member.number):
-            day = _day(member.file, own, member.run_seed(seed), times, keeps=keeps, member=member)
+            own_seed = None if seed is None else seed + SEEDS_APART * member.number
+            day = _day(member.file, own, own_seed, times, keeps=keeps, member=member)
             days.append((member, day))
     check_size(len(times), sum(len(day.tree.leaves) for _, day in days), "time.duration_s")
     parts = [day for _, day in days]

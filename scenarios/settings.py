@@ -58,13 +58,8 @@ def with_single_settings(scenario: ScenarioFile, texts: Iterable[str]) -> Scenar
     return with_settings(scenario, [(one.field, one.values[0]) for one in settings])
 
 
-def with_settings(
-    scenario: ScenarioFile, chosen: Sequence[tuple[str, object]], where: str = ""
-) -> ScenarioFile:
-    """Return a scenario with these fields changed to these values, which may be NumPy's.
-
-    `where` they are given, for errors. Default: by `--set`.
-    """
+def with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, object]]) -> ScenarioFile:
+    """Return a scenario with these fields changed to these values, which may be NumPy's."""
     if not chosen:
         return scenario
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
@@ -73,7 +68,7 @@ def with_settings(
     for field, value in fields:
         _put(document, field, value)
         _put(stated, field, value)
-    where = where or " ".join(f"--set {field}={setting_text(value)}" for field, value in fields)
+    where = " ".join(f"--set {field}={setting_text(value)}" for field, value in fields)
     try:
         changed = checked(document, Scenario)
     except InputError as error:

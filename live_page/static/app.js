@@ -65,7 +65,13 @@ function showRun(plan) {
   const power = powerPanel(time, group, span.shown, at);
   const node = nodePanel(plan, time, group, span.shown, at);
   const bar = positionBar(plan, time, at, seek);
-  const map = plantMap($("map"), $("map-note"), $("clusters"), plan, select);
+  let map = plantMap($("map"), $("map-note"), $("clusters"), plan, select), latest = null;
+  $("plants").hidden = plan.plants.length < 2;
+  $("plants").append(...plan.plants.map(name => new Option(name)));
+  $("plants").onchange = () => {
+    map = plantMap($("map"), $("map-note"), $("clusters"), plan, select, $("plants").value);
+    if (latest) map.show(latest);
+  };
   const showClouds = plan.has_clouds ? cloudLayer($("map"), map.place) : () => {};
   const tree = controlTree($("tree"), plan, select);
   const events = eventList($("events"), $("later"), time.timeOf, seek);
@@ -98,6 +104,7 @@ function showRun(plan) {
       power.append(plant);
       node.append();
     } else reload();
+    latest = frame;
     const more = map.show(frame);
     if (plan.positions_m.length) $("map-note").textContent = more > 0 ? `${more} smaller helps are not drawn.` : "";
     tree.show(frame);

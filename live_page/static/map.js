@@ -65,10 +65,22 @@ function inRows(nodes) {
   return nodes.filter(node => node.inverter).map(node => points.get(node));
 }
 
-export function plantMap(svg, note, legend, plan, select) {
-  const inverters = plan.nodes.map((node, number) => ({...node, number})).filter(node => node.inverter);
-  const known = plan.positions_m.length === inverters.length;
-  const metres = known ? plan.positions_m : inRows(plan.nodes);
+// Plants of a fleet are drawn nearer to each other than they are: at most a few widths apart.
+function together(points, plants) {
+  const middle = of => [0, 1].map(axis => of.reduce((sum, point) => sum + point[axis], 0) / of.length);
+  const groups = [...new Set(plants)].map(plant => points.filter((_, i) => plants[i] === plant)), middles = groups.map(middle);
+  const wide = Math.max(...groups.map((of, g) => Math.max(...of.map(point => Math.hypot(point[0] - middles[g][0], point[1] - middles[g][1])))));
+  const apart = Math.min(...middles.flatMap((a, g) => middles.slice(g + 1).map(b => Math.hypot(a[0] - b[0], a[1] - b[1]))));
+  const part = Math.min(3 * wide / apart, 1), places = new Map([...new Set(plants)].map((plant, g) => [plant, middles[g]]));
+  return points.map((point, i) => point.map((metre, axis) => metre - (1 - part) * places.get(plants[i])[axis]));
+}
+
+// `plant` is the one of a fleet that is shown; empty: all are.
+export function plantMap(svg, note, legend, plan, select, plant = "") {
+  const every = plan.nodes.map((node, number) => ({...node, number})).filter(node => node.inverter);
+  const known = plan.positions_m.length === every.length, plants = every.map(node => node.path.split("/")[0]);
+  const placed = !known ? inRows(plan.nodes) : plan.plants.length > 1 ? together(plan.positions_m, plants) : plan.positions_m;
+  const inverters = every.filter((_, i) => !plant || plants[i] === plant), metres = placed.filter((_, i) => !plant || plants[i] === plant);
   const [xs, ys] = [0, 1].map(axis => metres.map(point => point[axis]));
   const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
   const width = 720, margin = 52;
@@ -137,7 +149,7 @@ export function plantMap(svg, note, legend, plan, select) {
     shapes.set(node.number, group);
     return {node, group, level, text};
   });
-  if (known) drawScale(svg, width, height, scale);
+  if (known && (plant || plan.plants.length < 2)) drawScale(svg, width, height, scale);
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
 
   return {
@@ -175,7 +187,7 @@ export function plantMap(svg, note, legend, plan, select) {
         shapes.get(number).classList.toggle("late", level === 1);
         shapes.get(number).classList.toggle("bad", level === 2);
       }
-      const shown = [...frame.help].sort((a, b) => b[2] - a[2]).slice(0, MOST_LINES);
+      const shown = frame.help.filter(([donor, needy]) => centre.has(donor) && centre.has(needy)).sort((a, b) => b[2] - a[2]).slice(0, MOST_LINES);
       while (helpLayer.childElementCount < shown.length) make("path", {class: "help"}, helpLayer);
       [...helpLayer.children].forEach((line, row) => {
         line.style.display = row < shown.length ? "" : "none";

@@ -186,7 +186,7 @@ def loop_inputs(
     record: Floats | None = None,
 ) -> LoopInputs:
     is_forecast, is_limited = scheme == "predictive", actuator == "limit"
-    law = plan.correction_law
+    law = plan.correction_law()
     kept_turns = ceil(law.kept_turns / KEPT_TURNS) * KEPT_TURNS
     law = law._replace(is_on=is_corrected(plan, scheme), kept_turns=kept_turns)
     settings = LoopSettings(

@@ -47,7 +47,7 @@ def plant_arrays(plan: RunPlan, number: dict[str, int], is_on: bool) -> PlantArr
     def of(paths: Iterable[str]) -> NDArray[np.int64]:
         return np.array([place.get(path.partition("/")[0], -1) for path in paths], dtype=np.int64)
 
-    laws = [plan.correction_law_of(name)._replace(is_on=is_on) for name in names]
+    laws = [plan.correction_law(name)._replace(is_on=is_on) for name in names]
     zeros = np.zeros((4, len(names)))
     return PlantArrays(
         of_node=np.array([place.get(path, -1) for path in number], dtype=np.int64),
