@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs dist sbom results terms figures pictures golden check check-scripts format bench bench-peers bench-study campaign soak clean
+.PHONY: help setup run test docs dist sbom results terms figures pictures golden check check-scripts format bench bench-before bench-peers bench-study campaign soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -74,6 +74,9 @@ format: $(READY) ## bring the code into its format
 
 bench: $(READY) ## cycle rate beside a bare Zenoh graph, start-up time, memory
 	$(BIN)/python benchmarks/cycle_rate.py
+
+bench-before: $(READY) ## large and small plants beside other checkouts: make bench-before BEFORE=/tmp/before
+	$(BIN)/python benchmarks/before_after.py $(BEFORE)
 
 bench-peers: $(PEERS_READY) ## cycle rate beside mosaik, in a virtual environment of its own
 	$(PEERS)/bin/python benchmarks/peers.py

@@ -1,10 +1,7 @@
 """How fast is a launched plant, and how fast could it be? What `make bench` runs.
 
 Each round launches the plant with `heliarch launch --pace max` and runs the bare graph of the same
-messages, recorded (see `bare_graph.py`). Another checkout with a `.venv` of its own can be launched
-in the same rounds, for before and after:
-
-    python benchmarks/cycle_rate.py --rounds 5 --other ../before
+messages, recorded (see `bare_graph.py`). `before_after.py` compares checkouts.
 
 Processor time is seen from outside: user and system time of the program and all its descendants
 while cycles run. The exit status is 0 unless a run failed or messages got lost.
@@ -80,7 +77,6 @@ def bare(graph: Path, cycles: int) -> Bare:
 def main() -> None:
     parser = options(__doc__, rounds=3, cycles=800)
     parser.add_argument("--scenario", default="oahu")
-    parser.add_argument("--other", type=Path, metavar="DIR", help="another checkout to set beside")
     words = parser.parse_args()
     scenario, cycles = words.scenario, words.cycles
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
@@ -88,9 +84,6 @@ def main() -> None:
             "launch": partial(launch, OURS, scenario, cycles),
             "bare graph": partial(bare, describe(scenario, Path(folder)), cycles),
         }
-        if words.other:
-            other = words.other / ".venv/bin/heliarch"
-            ways["the other checkout"] = partial(launch, other, scenario, cycles)
         measure(f"{scenario}: {cycles:,} cycles", words.rounds, ways, SHOWN)
 
 

@@ -24,7 +24,8 @@ from rich.console import Console
 
 from results.tables import Column, Table, key_column, print_table
 
-OURS: Final = Path(sys.executable).parent / "heliarch"
+OURS: Final = Path(__file__).parents[1]
+"""The checkout that is measured; others can be measured with its environment."""
 SAMPLE_S: Final = 0.2
 LIMIT_S: Final = 300.0
 
@@ -80,8 +81,8 @@ class Watched(msgspec.Struct, frozen=True):
         return (last.processor_s - first.processor_s) / (last.at - first.at)
 
 
-def run(command: Sequence[str]) -> Watched:
-    """Run a program to its end.
+def run(command: Sequence[str], checkout: Path = OURS) -> Watched:
+    """Run a program to its end, with the code of a checkout.
 
     It gets SIGTERM if this process ends before it, and is killed with its descendants if it takes
     too long.
@@ -93,6 +94,7 @@ def run(command: Sequence[str]) -> Watched:
             stdout=output,
             stderr=subprocess.STDOUT,
             process_group=0,
+            env={**os.environ, "PYTHONPATH": str(checkout.resolve())},
         )
         samples: list[Sample] = []
         try:
@@ -136,13 +138,14 @@ class Launch(Figures, frozen=True, kw_only=True):
     own_mb: float
 
 
-def launch(heliarch: Path, scenario: str, cycles: int, keep: Path | None = None) -> Launch:
-    """Launch a scenario with cycles of one second in lockstep, recorded."""
+def launch(checkout: Path, scenario: str, cycles: int, keep: Path | None = None) -> Launch:
+    """Launch a scenario in lockstep, recorded."""
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         summary = Path(folder) / "summary.json"
         out = str(keep or Path(folder) / "run")
-        command = [str(heliarch), "launch", scenario, "--pace", "max", "--duration", f"{cycles}s"]
-        watched = run([*command, "--out", out, "--json", str(summary)])
+        command = [sys.executable, "-P", "-m", "heliarch", "launch", scenario, "--pace", "max"]
+        options = ["--duration", f"c{cycles}", "--out", out, "--json", str(summary)]
+        watched = run([*command, *options], checkout)
         return _read(msgspec.json.decode(summary.read_bytes()), watched)
 
 
