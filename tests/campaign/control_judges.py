@@ -598,6 +598,8 @@ class _Corrections:
         is_idle = abs(lacks_kw) > MISSED_SHARE * self._rating_kw and not is_bound
         is_idle = is_idle and step_kw * lacks_kw <= 0.0 and bool(self._aims_kw)
         is_idle = is_idle and now.possible_kw > 1.05 * now.aim_kw
+        # Where corrections have only done harm so far, it learns slowly that an error lasts.
+        is_idle = is_idle and (now.memory is None or now.memory.helped_share > 0.0)
         self._idle = self._idle + 1 if is_idle else 0
         if self._idle * self._turn_s > self._settles_s:
             return f"does not correct {lacks_kw:,.1f} kW"
