@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -175,6 +176,39 @@ def test_a_link_that_carries_nothing_is_closed_after_its_lease_and_opened_anew()
         until_heard(bus, heard)
         plant.put(KEY, GOOD)
         assert bus.receive(None), "it hears, too"
+
+
+def test_who_asks_for_the_newest_messages_waits_for_no_silent_answer() -> None:
+    with ExitStack() as stack:
+        (port,) = stack.enter_context(reserved_ports([PLANT])).values()
+        endpoint, asked = [f"tcp/127.0.0.1:{port}"], list[zenoh.Query]()
+        plant = stack.enter_context(open_session(SessionSettings("silent", endpoint, [])))
+        plant.declare_queryable("pair/**", asked.append)
+        settings = SessionSettings("silent", [], endpoint)
+        bus = stack.enter_context(ZenohBus("a", Wiring("pair", TREE), settings, 1.0))
+        while not asked:
+            began_at = time.monotonic()
+            assert bus.newest() == []
+        assert time.monotonic() - began_at < 3.0
+        for query in asked:
+            query.drop()
+
+
+def test_other_sockets_of_the_process_keep_their_lingering() -> None:
+    linger, kind = struct.pack("ii", True, 7), (socket.SOL_SOCKET, socket.SO_LINGER)
+    with ExitStack() as stack:
+        (port,) = stack.enter_context(reserved_ports([PLANT])).values()
+        server = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        other = stack.enter_context(socket.create_connection(server.getsockname()))
+        other.setsockopt(*kind, linger)
+        ours = stack.enter_context(socket.create_server(("127.0.0.1", port)))
+        link = stack.enter_context(socket.create_connection(ours.getsockname()))
+        link.setsockopt(*kind, linger)
+        settings = SessionSettings("linger", [], [f"tcp/127.0.0.1:{port}"], lease_s=0.4)
+        stack.enter_context(ZenohBus("a", Wiring("pair", TREE), settings, 1.0))
+        while link.getsockopt(*kind, 8) == linger:
+            time.sleep(0.05)
+        assert other.getsockopt(*kind, 8) == linger
 
 
 def until_heard(bus: ZenohBus, heard: zenoh.Subscriber[Any]) -> None:

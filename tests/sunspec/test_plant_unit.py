@@ -16,12 +16,14 @@ from command_line import done, refusal
 from running import REPOSITORY, Device, Heliarch, Start, small_plant
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Master
 
+from bus_schemas.errors import FailureError
 from bus_schemas.messages import Dispatch
 from bus_schemas.signals import DISPATCH
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import OPERATOR
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
+from sunspec.process import PlantUnitProcess
 
 pytestmark = pytest.mark.processes
 
@@ -155,3 +157,12 @@ def test_orders_come_by_all_five_ways_in_one_run_and_verify_repeats_it(
 @pytest.mark.parametrize("address", ["127.0.0.1:5030", "modbus://127.0.0.1:5030/300", "moon"])
 def test_an_address_that_cannot_be_is_refused(plant: str, address: str) -> None:
     assert "--operator" in refusal("launch", plant, "--operator", address)
+
+
+def test_a_unit_that_dies_at_its_start_is_named_with_its_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import os\nos._exit(3)\n", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(FailureError, match="status 3"):
+        PlantUnitProcess("modbus://127.0.0.1:0", tmp_path)

@@ -219,6 +219,12 @@ def test_a_model_or_point_that_is_missing_is_named(
         inverter.connect()
 
 
+@pytest.mark.parametrize(("ramp", "stated"), [(0.3, 1), (20.0, 20), (inf, None)])
+def test_a_slow_ramp_is_not_stated_as_none(ramp: float, stated: int | None) -> None:
+    inverter = LimitedInverter(100.0, lambda at: 80.0, ramp_percent_per_s=ramp)
+    assert inverter_points(inverter, 0.0)[704].get("WRmp") == stated
+
+
 def test_a_wrong_unit_what_is_no_meter_and_a_port_where_nobody_listens_are_named(
     site: Site,
 ) -> None:

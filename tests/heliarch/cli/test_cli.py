@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import shlex
 from pathlib import Path
 
 import pytest
-from command_line import done, heliarch, python
+from command_line import done, heliarch, python, refusal
 from plans_by_hand import plan_at_noon
 from rich.console import Console
 
@@ -157,3 +158,19 @@ def test_the_progress_of_a_run_fits_into_its_terminal_and_cuts_nothing(width: in
     whole = "dispatch 3508 kW", "delivered 3508 kW", "available 4684 kW"
     assert set(powers.split(", ")[1:]) <= set(whole)
     assert helped in {"", "3 nodes", *(listed(names, most) for most in (1, 2, 3))}
+
+
+def test_the_commands_for_what_comes_next_can_be_typed(plant: str, tmp_path: Path) -> None:
+    run = tmp_path / "of today; and more"
+    said = done("simulate", plant, "--duration", "5", "--out", str(run))
+    after = said.partition("next:")[2].splitlines()
+    (words,) = [words for words in map(shlex.split, after) if "inspect" in words]
+    assert words[words.index("inspect") + 1] == str(run)
+
+
+def test_a_link_to_nothing_is_no_folder_for_a_run(plant: str, tmp_path: Path) -> None:
+    (tmp_path / "run").symlink_to(tmp_path / "nowhere")
+    line = refusal("simulate", plant, "--duration", "5", "--out", str(tmp_path / "run"))
+    assert "--out" in line
+    assert "nowhere" in line
+    assert not (tmp_path / "nowhere").exists()
