@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import Final, Literal
 
@@ -111,29 +112,6 @@ class RateRow(msgspec.Struct, frozen=True):
     host: tuple[str, ...] = ()
 
 
-class Sweep(msgspec.Struct, frozen=True):
-    """Runs at several rates, ascending; `highest_clean_hz` is None if none was clean.
-
-    `too_fast_hz` is the lowest rate above it that proved too fast, if there is one.
-    """
-
-    rows: tuple[RateRow, ...]
-    highest_clean_hz: float | None
-    too_fast_hz: float | None
-
-    @classmethod
-    def of(cls, rows: Iterable[RateRow]) -> Sweep:
-        ascending = sorted(rows, key=lambda row: row.rate_hz)
-        clean_hz = max((row.rate_hz for row in ascending if row.outcome == "clean"), default=None)
-        proved = (row.rate_hz for row in ascending if row.outcome in {"failed", "not clean"})
-        too_fast_hz = next((hz for hz in proved if hz > (clean_hz or 0.0)), None)
-        return cls(tuple(ascending), clean_hz, too_fast_hz)
-
-    @property
-    def interrupted(self) -> bool:
-        return any(row.outcome == "interrupted" for row in self.rows)
-
-
 def parse_rates(text: str) -> tuple[float, float]:
     """Read the value of `--rate`: the ends of a search [1/s], which are equal for a single rate."""
     parts = (_AUTO if text == "auto" else text).split("..")
@@ -145,21 +123,31 @@ def parse_rates(text: str) -> tuple[float, float]:
     raise InputError.of("--rate", f"expected {_EXPECTED}, got {text}")
 
 
-def sweep(lowest_hz: float, highest_hz: float, timed: Callable[[float], TimingReport]) -> Sweep:
-    """Search for the highest clean rate, doubling, then halving steps.
+def sweep(
+    lowest_hz: float, highest_hz: float, timed: Callable[[float], TimingReport]
+) -> list[RateRow]:
+    """Search for the highest clean rate, doubling, then halving steps; return all rates, ascending.
 
     A rate that was not clean is run once more, and the second run counts: one stall of the machine
     must not end the search. If the very first rate is refused, so is the sweep.
     """
     rows: dict[float, RateRow] = {}
-    rate_hz: float | None = lowest_hz
-    while rate_hz is not None:
+    rate_hz, clean_hz, too_fast_hz = lowest_hz, 0.0, inf
+    while clean_hz < highest_hz and too_fast_hz > clean_hz * _CLOSE_ENOUGH:
         row = _run_at(rate_hz, timed, is_first=not rows)
         if row.outcome == "not clean":
             row = _run_at(rate_hz, timed, is_first=False)
         rows[rate_hz] = row
-        rate_hz = _next_hz(Sweep.of(rows.values()), highest_hz)
-    return Sweep.of(rows.values())
+        if row.outcome == "clean":
+            clean_hz = rate_hz
+        else:
+            too_fast_hz = rate_hz
+        if row.outcome == "interrupted" or not clean_hz:
+            break
+        rate_hz = min(2.0 * clean_hz, highest_hz)
+        if too_fast_hz < inf:
+            rate_hz = float(f"{(clean_hz * too_fast_hz) ** 0.5:.3g}")
+    return [rows[hz] for hz in sorted(rows)]
 
 
 def _run_at(rate_hz: float, timed: Callable[[float], TimingReport], *, is_first: bool) -> RateRow:
@@ -172,17 +160,6 @@ def _run_at(rate_hz: float, timed: Callable[[float], TimingReport], *, is_first:
             raise
         return RateRow(rate_hz, "failed", str(failure).splitlines()[0])
     return rate_row(report)
-
-
-def _next_hz(so_far: Sweep, highest_hz: float) -> float | None:
-    clean_hz, too_fast_hz = so_far.highest_clean_hz, so_far.too_fast_hz
-    if so_far.interrupted or clean_hz is None:
-        return None
-    if too_fast_hz is None:
-        return min(2.0 * clean_hz, highest_hz) if clean_hz < highest_hz else None
-    if too_fast_hz <= clean_hz * _CLOSE_ENOUGH:
-        return None
-    return float(f"{(clean_hz * too_fast_hz) ** 0.5:.3g}")
 
 
 def rate_row(report: TimingReport) -> RateRow:
@@ -200,8 +177,9 @@ def rate_row(report: TimingReport) -> RateRow:
     )
 
 
-def sweep_result(done: Sweep, scenario: str) -> Result:
-    hosts = [row.host for row in done.rows if row.host]
+def sweep_result(rates: Sequence[RateRow], scenario: str) -> Result:
+    hosts = [row.host for row in rates if row.host]
+    clean_hz = max((row.rate_hz for row in rates if row.outcome == "clean"), default=None)
     columns = (
         key_column("rate", "rate_hz"),
         Column("cycles"),
@@ -211,18 +189,17 @@ def sweep_result(done: Sweep, scenario: str) -> Result:
         word_column("", "outcome"),
         word_column("", "reason"),
     )
-    rows = [(f"{row[0]:.4g}", *row[1:]) for row in attributes(done.rows, columns)]
-    verdict = f"FAIL: no rate was clean: {len(done.rows)} tried, try lower ones"
-    if done.highest_clean_hz is not None:
-        at_least = "at least " if done.too_fast_hz is None else ""
-        highest = f"{at_least}{cycles_per_s(done.highest_clean_hz)}"
+    rows = [(f"{row[0]:.4g}", *row[1:]) for row in attributes(rates, columns)]
+    verdict = f"FAIL: no rate was clean: {len(rates)} tried, try lower ones"
+    if clean_hz is not None:
+        failed = [row for row in rates if row.outcome in {"failed", "not clean"}]
+        at_least = "" if failed else "at least "
+        highest = f"{at_least}{cycles_per_s(clean_hz)}"
         verdict = f"PASS: highest clean rate {highest} (all budgets kept)"
-    elif done.interrupted:
-        verdict = "FAIL: interrupted before a rate was found to be clean"
     return Result(
         f"{scenario}: loop time against rate",
         [Table("Rates [cycles/s]", columns, rows)],
-        done,
+        {"rows": rates, "highest_clean_hz": clean_hz},
         lines=hosts[-1] if hosts else (),
-        verdict=(done.highest_clean_hz is not None, verdict),
+        verdict=(clean_hz is not None, verdict),
     )

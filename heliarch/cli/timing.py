@@ -109,12 +109,12 @@ def timing(
 
         if shown is not None:
             output.say(f"page: {shown.show(folder, several=True)}")
-        found = sweep(lowest_hz, highest_hz, timed)
-    result = sweep_result(found, file.scenario.name)
+        rates = sweep(lowest_hz, highest_hz, timed)
+    result = sweep_result(rates, file.scenario.name)
     publish(result, files, folder / "timing.html", f"recordings: {folder}")
-    if found.interrupted:
+    if any(row.outcome == "interrupted" for row in rates):
         return INTERRUPTED
-    return FAILED if found.highest_clean_hz is None else OK
+    return OK if result.verdict and result.verdict[0] else FAILED
 
 
 def _publish(

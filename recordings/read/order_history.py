@@ -2,47 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import groupby
+from operator import attrgetter
 
 from bus_schemas.messages import Dispatch
 from sim_plant.orders import order_of
-
-
-@dataclass
-class _Span:
-    """Cycles that follow each other with the same order in force."""
-
-    first: Dispatch
-    last_cycle: int
 
 
 class OrderHistory:
     """Takes in dispatches in any order; tells with which of them the order changed."""
 
     def __init__(self) -> None:
-        self._spans: list[_Span] = []
+        self._last: Dispatch | None = None
+        self._kept: list[Dispatch] = []
 
     def see(self, dispatch: Dispatch) -> None:
-        if self._spans:
-            span = self._spans[-1]
-            is_same = order_of(dispatch) == order_of(span.first)
-            if is_same and 0 <= dispatch.cycle - span.last_cycle <= 1:
-                span.last_cycle = dispatch.cycle
-                return
-        self._spans.append(_Span(dispatch, dispatch.cycle))
+        """Keep a dispatch unless it follows the last one and repeats its order."""
+        last, self._last = self._last, dispatch
+        follows = last is not None and 0 <= dispatch.cycle - last.cycle <= 1
+        if last is None or not follows or order_of(last) != order_of(dispatch):
+            self._kept.append(dispatch)
 
     def changes(self) -> list[Dispatch]:
         """Return the first dispatch, and each with which another order is in force, or none."""
-        self._spans.sort(key=lambda span: span.first.cycle)
-        joined = self._spans[:1]
-        for span in self._spans[1:]:
-            before = joined[-1]
-            is_same = order_of(before.first) == order_of(span.first)
-            if is_same and span.first.cycle <= before.last_cycle + 1:
-                before.last_cycle = max(before.last_cycle, span.last_cycle)
-            else:
-                joined.append(span)
-        self._spans = joined
-        groups = groupby((span.first for span in joined), key=order_of)
-        return [next(group) for _, group in groups]
+        self._kept.sort(key=attrgetter("cycle"))
+        return [next(group) for _, group in groupby(self._kept, key=order_of)]
