@@ -14,6 +14,8 @@ from replayed_runs import run_in_memory, write
 from running import Start
 from served import page_of, served
 
+from agents.settings import FleetPlant
+
 pytestmark = [pytest.mark.processes, needs_browser]
 CYCLES = 40
 NOTHING_OUTSIDE = (
@@ -107,6 +109,32 @@ def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) 
         for width in (1280, 800, 420):
             window.narrow(width)
             assert window.run(NOTHING_OUTSIDE) == []
+        assert window.problems() == []
+
+
+def test_a_fleet_is_drawn_as_a_whole_and_plant_by_plant(window: Browser, tmp_path: Path) -> None:
+    plan = plan_of(
+        {"west/c1/a": 100.0, "west/c1/b": 100.0, "east/c1/a": 100.0, "east/c1/b": 100.0},
+        cycles=CYCLES,
+        plants=tuple(FleetPlant(name=name, export_limit_kw=200.0) for name in ("west", "east")),
+        positions_m=((-20e3, 0.0), (-20.2e3, 0.0), (20e3, 0.0), (20.2e3, 100.0)),
+    )
+    drawn = "return document.querySelectorAll('#map .inverter').length"
+    near = (
+        "const [a, b, c] = [...document.querySelectorAll('#map .inverter')]"
+        ".map(one => one.getBoundingClientRect().x);"
+        "return Math.abs(a - b) > Math.abs(a - c) / 10;"
+    )
+    with served(write(tmp_path / "fleet", run_in_memory(plan), plan)) as page:
+        window.open(page.address)
+        window.until(at(CYCLES - 1), "the last cycle")
+        assert window.run(drawn) == 4
+        assert window.run(near), "plants are drawn too far from each other to be seen"
+        window.run(
+            "const choice = document.querySelector('#plants'); choice.value = 'east';"
+            "choice.dispatchEvent(new Event('change'))"
+        )
+        assert window.run(drawn) == 2
         assert window.problems() == []
 
 

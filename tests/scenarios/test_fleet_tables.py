@@ -106,3 +106,47 @@ def test_a_wrong_plant_is_refused_in_one_line(
     found = folder.complaint()
     assert complaint in found, found
     assert "\n" not in found
+
+
+WIND = """\
+name = "wind"
+title = "Two turbines of 2 MW, by their measured power"
+
+[time]
+start = 2010-04-01T12:00:00
+timezone = "Pacific/Honolulu"
+duration_s = 5
+
+[plant]
+rating_kw = 4000
+
+[irradiance]
+kind = "dc-current"
+currents = "power.csv"
+positions = "turbines.csv"
+full_power_current = 2000
+
+[commitment]
+kind = "constant"
+power_kw = 2000
+
+[control]
+cluster_sizes = [[1, 1]]
+clusters = "listed"
+
+[neighbours]
+history = "hindsight"
+"""
+
+
+def test_a_plant_of_a_fleet_can_be_of_wind_turbines_by_their_measured_power(folder: Folder) -> None:
+    powers_kw = [[900.0, 1500.0], [1000.0, 1400.0], [1200.0, 300.0], [800.0, 0.0], [700.0, 2000.0]]
+    rows = [f"{second},{one},{two}" for second, (one, two) in enumerate(powers_kw)]
+    folder.write("power.csv", "\n".join(["t_s,a,b", *rows, "5,700,2000"]) + "\n")
+    folder.write("turbines.csv", "combiner,inverter,x_m,y_m\na,t1,0,0\nb,t2,600,0\n")
+    folder.write("wind.toml", WIND)
+    folder.change('kind = "share-of-clear-sky"\nshare = 0.65', 'kind = "constant"\npower_kw = 3000')
+    folder.change(SECOND, 'name = "north"\nscenario = "wind.toml"')
+    found = folder.prepare()
+    assert found.plan.tree.leaves[17:] == ("north/c1/invt1", "north/c2/invt2")
+    np.testing.assert_allclose(found.profile.mpp_kw[:, 17:], powers_kw)

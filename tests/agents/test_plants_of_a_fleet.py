@@ -1,0 +1,55 @@
+"""Plants of a fleet at their own meters: export limits, and a plant that is cut off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import command_line
+import numpy as np
+import pytest
+
+from bus_schemas.messages import Dispatch, Message, Meter
+from bus_schemas.signals import DISPATCH, METER
+from recordings.inspect.agent_states import states_of
+from recordings.read.reader import RunReader
+
+RATINGS_KW = {"west": 8000.0, "north": 5500.0, "east": 8000.0}
+
+
+def simulated(folder: Path, *words: str) -> Path:
+    command = ("simulate", "fleet", "--from", "12:29", "--duration", "60", *words)
+    result = command_line.heliarch(*command, "--out", folder)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def read_kw(run: RunReader) -> dict[str, np.ndarray]:
+    """Return what each meter read, and the dispatch, cycle by cycle."""
+    found: dict[str, list[float]] = {}
+    message: Message
+    for port, message in run.messages(METER, DISPATCH):
+        assert isinstance(message, Meter | Dispatch)
+        found.setdefault(str(port), []).append(message.power_kw)
+    return {port: np.array(powers_kw) for port, powers_kw in found.items()}
+
+
+def test_a_plant_keeps_its_export_limit_while_its_inverters_could_give_more(tmp_path: Path) -> None:
+    # The sky over `north` gives more than its limit throughout; the fleet lacks power.
+    with RunReader(simulated(tmp_path / "run", "--set", "commitment.share=0.95")) as run:
+        read = read_kw(run)
+    north_kw = read["north/meter"][10:]
+    assert np.median(north_kw) == pytest.approx(RATINGS_KW["north"], rel=0.005)
+    assert north_kw.max() < RATINGS_KW["north"] * 1.02
+    total_kw = sum(read[f"{plant}/meter"] for plant in RATINGS_KW)
+    np.testing.assert_allclose(read["meter"], total_kw)
+
+
+def test_a_plant_that_is_cut_off_serves_its_own_share_and_is_named(tmp_path: Path) -> None:
+    cut = ("--fault", "partition=west|central,at=15s..45s", "--set", "commitment.share=0.3")
+    with RunReader(simulated(tmp_path / "run", *cut)) as run:
+        read, spans = read_kw(run), states_of(run).spans()
+    share_kw = read["dispatch"] * (RATINGS_KW["west"] / sum(RATINGS_KW.values()))
+    alone = slice(30, 44)  # Once its setpoint has expired.
+    np.testing.assert_allclose(read["west/meter"][alone], share_kw[alone], rtol=0.01)
+    np.testing.assert_allclose(read["meter"][alone], read["dispatch"][alone], rtol=0.01)
+    assert [(one.agent, one.kind, one.first_cycle) for one in spans] == [("west", "cut off", 15)]
