@@ -226,3 +226,24 @@ def test_a_run_shows_its_figures_and_the_plants_powers(run: heliarch.Run) -> Non
 def test_bad_input_is_an_input_error(plant: str, bad: dict[str, Any], named: str) -> None:
     with pytest.raises(InputError, match=named):
         heliarch.simulate(plant, **bad)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"actuators": "magic"},
+        {"seeds": ["x"]},
+        {"days": "yesterday"},
+        {"workers": 0},
+        {"schemes": "magic"},
+        {"settings": {"no.such": 1}},
+    ],
+)
+def test_a_comparison_names_the_parameter_that_is_wrong(plant: str, bad: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=rf"^{next(iter(bad))}"):
+        heliarch.compare(plant, **bad)
+
+
+def test_reading_names_the_parameter_that_is_wrong(run: heliarch.Run) -> None:
+    with pytest.raises(InputError, match=r"^nodes: expected"):
+        run.frame("impp", nodes="zz")

@@ -7,6 +7,7 @@ import socket
 import time
 import urllib.request
 from pathlib import Path
+from urllib.error import HTTPError
 
 import pytest
 from command_line import refusal
@@ -152,3 +153,16 @@ def test_a_run_is_compared_with_no_help(run: Path, several: bool) -> None:
             text = answer.read().decode()
     assert "without help less with help" in text
     assert ("../../" in re.findall('href="([^"#]+)"', text)) is several
+
+
+def test_runs_that_cannot_be_compared_are_a_page_with_a_way_back(tmp_path: Path) -> None:
+    later = with_changes(PLAN, start_time_ns=PLAN.timing.start_time_ns + 10**9)
+    for name, plan in (("one", PLAN), ("later", later)):
+        (tmp_path / name).mkdir()
+        write_run(tmp_path / name / "run.mcap", whole_run(9), plan=plan)
+    with served(tmp_path, several=True) as page, pytest.raises(HTTPError) as refused:
+        urllib.request.urlopen(f"{page.root}compare?a=one&b=later", timeout=60)
+    text = refused.value.read().decode()
+    assert (refused.value.code, refused.value.headers.get_content_type()) == (422, "text/html")
+    assert "expected the beginning of" in text
+    assert {"./", "run/one/", "run/later/"} <= set(re.findall('href="([^"#]+)"', text))

@@ -7,7 +7,7 @@ from math import nan
 import pytest
 from printing import printed
 
-from results.tables import Column, Number, Table, json_rows, key_column, print_table
+from results.tables import Column, Number, Table, json_rows, key_column, print_table, word_column
 
 
 def many_columns(columns: int) -> Table:
@@ -69,3 +69,11 @@ def test_json_has_all_digits_and_no_nan() -> None:
         {"case": "a", "energy": 1.23456789, "Score": None},
         {"case": "b", "energy": 0.1 + 0.2, "Score": None},
     ]
+
+
+def test_a_column_that_says_nothing_is_not_printed_but_is_in_the_json() -> None:
+    columns = (key_column("Case"), Column("Energy"), Column("Score"), word_column("Note"))
+    table = Table("", columns, (("a", 1.0, None, ""), ("b", None, nan, "")))
+    heading = lines_of(table, 80)[1]
+    assert heading.split() == ["Case", "Energy"]
+    assert [*json_rows(table)[0]] == ["Case", "Energy", "Score", "Note"]

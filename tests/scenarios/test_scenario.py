@@ -398,3 +398,10 @@ def test_a_file_beside_the_scenario_is_held_onto_its_cycles(folder: Folder) -> N
     found = folder.prepare()
     assert found.profile.regulation_capacity_kw == 40.0
     assert found.profile.regulation_kw.tolist() == [*np.repeat(40.0 * values, 2), *[0.0] * 10]
+
+
+def test_a_place_with_one_coordinate_is_refused(folder: Folder) -> None:
+    folder.change(
+        '"clouds"\nseed = 7', '"dc-current"\ncurrents = "i.csv"\npositions = "p.csv"\nlat = 3'
+    )
+    assert "irradiance.lat: expected lon with it" in folder.complaint()

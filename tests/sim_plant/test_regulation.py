@@ -123,3 +123,11 @@ def test_a_signal_that_does_not_cover_the_run_is_refused(
 ) -> None:
     write(path, first_s)
     assert complaint(path, cycles("2010-04-01", count)).startswith("signal.csv: expected a signal")
+
+
+def test_the_offer_keeps_to_the_clock_when_it_is_set_forward(path: Path) -> None:
+    # 2024-03-31 in Madrid: after 01:59:59 comes 03:00:00
+    write(path, first_s=3 * 3600)
+    times = pd.date_range("2024-03-31T00:59:58Z", periods=6, freq="1s", unit="ns")
+    found = asked_kw(path, times, "from = 03:00:00\nto = 04:00:00", "Europe/Madrid")
+    assert found == [0.0, 0.0, *HELD_KW[:4]]

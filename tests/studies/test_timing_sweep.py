@@ -15,7 +15,7 @@ from timed_recordings import cycle
 from bus_schemas.errors import FailureError, InputError
 from results.report.result import print_result
 from results.timing.report import TimingReport
-from studies.timing import RateRow, sweep, sweep_result
+from studies.timing import RateRow, parse_rates, sweep, sweep_result
 
 
 def clean_hz(rows: list[RateRow]) -> float:
@@ -95,3 +95,31 @@ def test_a_run_that_fails_or_is_refused_ends_the_search_above_it_but_the_first_i
         assert "13.600" in text, "the loop [ms]"
     with pytest.raises(InputError, match="c1 has died"):
         sweep(10.0, 20.0, Machine(reports, 1e9, {10.0: why}).run)
+
+
+@pytest.mark.parametrize(
+    ("text", "rates"),
+    [
+        ("20", (20.0, 20.0)),
+        ("0.5", (0.5, 0.5)),
+        ("1..200", (1.0, 200.0)),
+        ("auto", (5.0, 1000.0)),
+    ],
+)
+def test_rates_are_read(text: str, rates: tuple[float, float]) -> None:
+    assert parse_rates(text) == rates
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "-5", "nan", "fast", "5,10", "1001", "inf", "20..10", "5..5", "10..2000", ""]
+)
+def test_other_texts_than_rates_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--rate: expected"):
+        parse_rates(text)
+
+
+def test_an_interrupted_sweep_keeps_what_it_has(reports: Reports) -> None:
+    found = sweep(5.0, 20.0, Machine(reports, 1e9, {10.0: KeyboardInterrupt()}).run)
+    assert [row.outcome for row in found] == ["clean", "interrupted"]
+    cut = at(reports[0], interrupted=True)
+    assert [row.outcome for row in sweep(10.0, 20.0, lambda _: cut)] == ["interrupted"]

@@ -351,3 +351,9 @@ def test_a_heartbeat_is_counted_up_where_it_is_asked_for() -> None:
         assert not device.writes
         connected(device, heartbeat=True).read()
         assert device.writes == [(16, device.register(715, "ControllerHb"), 2)]
+
+
+def test_registers_that_wear_out_are_written_no_more_often_than_stated(tmp_path: Path) -> None:
+    with quirky() as device:
+        run(device, tmp_path, limits=lambda cycle: 30.0 + cycle, write_every_s=0.5)
+        assert 2 <= len(device.writes) <= 5

@@ -68,3 +68,11 @@ def test_losses_are_a_constant_share_and_one_of_the_square_of_the_power() -> Non
     assert net_kw(0.0, law) == -40.0
     assert gross_kw(net_kw(4321.0, law), law) == pytest.approx(4321.0)
     assert gross_kw(10.0, law_of(loss_constant_percent=0.5)) == 50.0
+
+
+def test_deadband_and_droop_differ_above_and_below_the_nominal_frequency() -> None:
+    droop = Droop(fdbd1=-0.001, fdbd2=0.002, ddn=25.0, dup=10.0, reserve_percent=100.0)
+    law = law_of(nominal_hz=50.0, droop=droop)
+    # 0.2 Hz of 50 are 0.004.
+    assert response_kw(49.8, law) == pytest.approx(10.0 * 0.002 * RATING_KW)
+    assert response_kw(50.2, law) == pytest.approx(-25.0 * 0.003 * RATING_KW)

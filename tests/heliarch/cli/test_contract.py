@@ -425,3 +425,20 @@ with boundary():
         check=False,
     )
     assert result.returncode == 128 + number, result.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("keys small.toml --out=", "--out"),
+        ("keys small.toml --out ", "--out"),
+        ("inspect ", "an argument"),
+        ("simulate --out", "--out"),
+    ],
+)
+def test_an_empty_word_is_named(words: str, named: str, folder: Path) -> None:
+    assert named in refusal(*words.split(" "))
+
+
+def test_a_word_too_many_is_named_as_it_was_typed() -> None:
+    assert refusal("doctor", "my run").endswith("expected no more words, got my run")

@@ -47,3 +47,12 @@ def test_a_run_that_is_over_or_is_none_is_refused_in_one_line(run: Path, tmp_pat
     with obeying_plant(other, PLAN):
         pass
     assert "under way" in refusal("order", other, "2kW")
+
+
+@pytest.mark.parametrize("power", ["-3kW", "nan", "401kW", "2MWh", "2000", "2 MW", "inf", "NaNkW"])
+def test_a_power_that_cannot_be_is_refused_in_one_line(run: Path, power: str) -> None:
+    assert "400 kW" in refusal("order", run, power)
+
+
+def test_the_schedule_has_no_end_after_which_the_schedule_returns(run: Path) -> None:
+    assert "--hold: expected a power" in refusal("order", run, "schedule", "--hold", "5s")

@@ -80,3 +80,14 @@ def test_a_span_that_is_none_is_refused() -> None:
         CLOCK.span(None, 1001)
     with pytest.raises(InputError, match="expected a time of the run"):
         RunClock(PLAN, last_cycle=-1).cycle(0, "--from")
+
+
+def test_a_local_time_that_comes_twice_is_the_one_in_the_run() -> None:
+    begins_ns = (
+        1_382_835_600 * 10**9
+    )  # 02:00 in Berlin on 27 October 2013, after the clocks went back.
+    berlin = with_changes(PLAN, start_time_ns=begins_ns, timezone="Europe/Berlin")
+    assert RunClock(berlin, last_cycle=3599).cycle("02:10", "--from") == 600
+    before = with_changes(berlin, start_time_ns=begins_ns - 3600 * 10**9)
+    assert RunClock(before, last_cycle=7199).cycle("02:10", "--from") == 600
+    assert RunClock(before, last_cycle=7199).cycle("2013-10-27T02:10:00+01:00", "--from") == 4200

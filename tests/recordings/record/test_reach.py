@@ -119,3 +119,9 @@ def test_a_recorder_that_stood_still_itself_has_lost_nobody() -> None:
     run = Heard()
     run.hear(5, PRODUCTION.of(ROOT))
     assert run.reach.not_recorded(run.now_ns + 60 * REAL_TIME) == []
+
+
+def test_statements_of_a_device_prove_nothing() -> None:
+    run = Heard(external=("c1",))
+    run.hear(9, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
+    assert run.not_heard == []

@@ -20,13 +20,14 @@ from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode, encode_bundle
 from bus_schemas.errors import InputWarning
 from bus_schemas.messages import Impp, Message, Setpoint
-from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
-from bus_schemas.tree import CENTRAL, ROOT
+from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Occurrence, Port, ports
+from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
 from launch_scripts.run_end import external_account
 from recordings.inspect.overview import read_through
 from recordings.read.reader import RunReader
 from recordings.record.complaints import Complaints, SecondSenders
+from recordings.record.phases import ArmingRound
 from recordings.record.recorder import Recorder
 from recordings.record.writer import RunWriter
 from results.run_document import ExternalAccount
@@ -289,3 +290,31 @@ def test_a_recorder_beats_while_bundles_of_much_work_keep_coming(tmp_path: Path)
     ).run()
     assert clock[0] > 10 * BEAT_S
     assert max(after - before for before, after in pairwise(beats)) < BEAT_S
+
+
+STEADY = [
+    port
+    for port in ports(IN_LOCKSTEP.tree)
+    if port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
+]
+OF_PLANT = [port for port in STEADY if port.publisher == PLANT]
+OF_OTHERS = [port for port in STEADY if port.publisher != PLANT]
+
+
+def test_a_device_that_speaks_of_another_round_does_not_end_the_one_under_way() -> None:
+    under_way = ArmingRound(IN_LOCKSTEP)
+    under_way.hear(DISPATCH.of(ROOT), -7)
+    for early in (-5, -9, -6):
+        assert not under_way.hear(IMPP.of("c2/d"), early)
+    seen = [under_way.hear(port, -7) for port in (*OF_PLANT, *OF_OTHERS)]
+    assert seen == [False] * (len(STEADY) - 1) + [True]
+    assert under_way.answered
+
+
+def test_keys_without_a_message_in_the_round_under_way_are_named() -> None:
+    under_way = ArmingRound(IN_LOCKSTEP)
+    under_way.hear(DISPATCH.of(ROOT), -7)
+    under_way.hear(IMPP.of("c2/d"), -5)
+    assert under_way.unheard(["c2/d"]) == [
+        f"c2/d/{signal}" for signal in ("command", "impp", "residual")
+    ]

@@ -33,7 +33,7 @@ from bus_schemas.messages import (
     Residual,
     parse_missing,
 )
-from bus_schemas.signals import IMPP, ORDER
+from bus_schemas.signals import IMPP, ORDER, RESIDUAL
 from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from launch_scripts.simulation import MemoryRun
 from recordings.verify.verification import Verification, verify
@@ -298,3 +298,26 @@ def test_a_number_that_no_listener_accepts_is_named_before_what_follows_from_it(
     assert first is not None
     assert (agent, first.message, first.kind, first.cycle) == ("c1/a", "c1/a/impp", "refused", 7)
     assert "power_kw" in first.text
+
+
+def test_a_dispatch_that_does_not_follow_from_its_order_is_a_difference(tmp_path: Path) -> None:
+    plan = faulty_plan(LATE, cycles=30)
+    messages = [
+        (port, replace(message, power_kw=message.power_kw + 1.0))
+        if isinstance(message, Dispatch) and message.cycle == 14
+        else (port, message)
+        for port, message in published_with_orders(plan, ORDERED)
+    ]
+    found = verified(tmp_path / "run", plan, messages)
+    assert found.agents[PLANT].differences == {"differs": 1}
+
+
+@pytest.mark.parametrize(("cycles_before", "kinds"), [(0, {}), (3, {"only new": 1})])
+def test_only_the_last_messages_of_a_killed_process_may_be_missing(
+    cycles_before: int, kinds: dict[str, int], tmp_path: Path
+) -> None:
+    messages, (last, *_) = killed(KILLED_CHILD)
+    port, cycle = RESIDUAL.of("c1/a"), messages[last][1].cycle - cycles_before
+    left = [pair for pair in messages if pair[0] is not port or pair[1].cycle != cycle]
+    found = verify(record(tmp_path / "run", KILLED_CHILD, left), "c1/a")
+    assert found.agents["c1/a"].differences == kinds

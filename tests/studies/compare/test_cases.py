@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from datetime import date
 
 import pytest
 
@@ -99,3 +100,9 @@ def test_wrong_lists_are_refused(parse: Callable[[str], object], text: str) -> N
 def test_a_study_without_end_is_refused(oahu: ScenarioFile) -> None:
     with pytest.raises(InputError, match="100,000"):
         study(oahu, days="1990-01-01..2020-01-01", seeds="1..1000")
+
+
+def test_seeds_and_days_are_lists_and_ranges() -> None:
+    assert parse_seeds("1..3,9") == (1, 2, 3, 9)
+    days = (date(2010, 4, 30), date(2010, 5, 1), date(2010, 6, 1))
+    assert parse_days("2010-04-30..2010-05-01,2010-06-01") == days

@@ -119,3 +119,8 @@ def test_a_sweep_of_settings_is_listed_and_not_summarised() -> None:
     cases = [case({"commitment.share": share}, {"paper": share}) for share in (0.5, 0.7)]
     (table,) = cases_tables(["control-caused"], cases)
     assert table.texts() == [("share=0.5", "0.500"), ("share=0.7", "0.700")]
+
+
+def test_a_scheme_without_one_of_both_figures_is_not_drawn_at_zero() -> None:
+    undefined = {**result("paper", "limit", 1.0, 0.2), "over-delivered": None}
+    assert len(frontier([*SCHEMES, undefined]).figure.data[1].x) == 1
