@@ -137,10 +137,8 @@ class Wiring:
     def port(self, key: str) -> Port[Message] | None:
         return self._port_of.get(key)
 
-    def key_exprs(
-        self, ports: Iterable[Port[Message]], least: int = 2
-    ) -> dict[str, list[Port[Message]]]:
-        """Return key expressions that match these ports and no others, and what each matches.
+    def key_exprs(self, ports: Iterable[Port[Message]], least: int = 2) -> list[str]:
+        """Return key expressions that match these ports and no others.
 
         From `least` ports of a signal on, they share one expression: for all nodes at or below a
         node, for its children, or for all below it.
@@ -148,11 +146,11 @@ class Wiring:
         of_signal: dict[Signal[Message], list[Port[Message]]] = {}
         for port in ports:
             of_signal.setdefault(port.signal, []).append(port)
-        found: dict[str, list[Port[Message]]] = {}
+        found: list[str] = []
         for signal, some in of_signal.items():
             nodes = {port.node for port in some}
             common = self._wildcard(signal, nodes) if len(nodes) >= least else None
-            found |= {common: some} if common else {self.key(port): [port] for port in some}
+            found += [common] if common else map(self.key, some)
         return found
 
     def bundle_exprs(self, bundles: Collection[Bundle], least: int) -> list[str]:

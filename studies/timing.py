@@ -180,6 +180,7 @@ def rate_row(report: TimingReport) -> RateRow:
 def sweep_result(rates: Sequence[RateRow], scenario: str) -> Result:
     hosts = [row.host for row in rates if row.host]
     clean_hz = max((row.rate_hz for row in rates if row.outcome == "clean"), default=None)
+    failed_hz = [row.rate_hz for row in rates if row.outcome in {"failed", "not clean"}]
     columns = (
         key_column("rate", "rate_hz"),
         Column("cycles"),
@@ -192,14 +193,17 @@ def sweep_result(rates: Sequence[RateRow], scenario: str) -> Result:
     rows = [(f"{row[0]:.4g}", *row[1:]) for row in attributes(rates, columns)]
     verdict = f"FAIL: no rate was clean: {len(rates)} tried, try lower ones"
     if clean_hz is not None:
-        failed = [row for row in rates if row.outcome in {"failed", "not clean"}]
-        at_least = "" if failed else "at least "
+        at_least = "" if failed_hz else "at least "
         highest = f"{at_least}{cycles_per_s(clean_hz)}"
         verdict = f"PASS: highest clean rate {highest} (all budgets kept)"
     return Result(
         f"{scenario}: loop time against rate",
         [Table("Rates [cycles/s]", columns, rows)],
-        {"rows": rates, "highest_clean_hz": clean_hz},
+        {
+            "rows": rates,
+            "highest_clean_hz": clean_hz,
+            "too_fast_hz": min(failed_hz, default=None),
+        },
         lines=hosts[-1] if hosts else (),
         verdict=(clean_hz is not None, verdict),
     )

@@ -53,8 +53,8 @@ def replay(
     """
     from heliarch.cli.live_view import StatusLine
     from recordings.read.reader import RunReader
-    from recordings.replay.bus import selected_ports
-    from recordings.replay.playback import ReplayOptions, replay_recording
+    from recordings.replay.bus import ReplayOptions, selected_ports
+    from recordings.replay.playback import replay_recording
     from scenarios.real_time import parse_pace
 
     out = sys.stderr if json == "-" else sys.stdout

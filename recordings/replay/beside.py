@@ -32,7 +32,7 @@ from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import REPLAYER, ROOT, agent_name
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
-from recordings.replay.bus import ReplayBus, StatusLine, say
+from recordings.replay.bus import ReplayBus, ReplayOptions, StatusLine, say
 from sim_plant.plant_run import FIRST_ROUND, longest_round_s
 
 _EARLY_CYCLES: Final = 100
@@ -169,25 +169,22 @@ class ReplayBeside(ReplayBus):
 @contextmanager
 def replay_beside(
     reader: RunReader,
-    nodes: str,
-    process_module: str,
-    listen: str | None,
+    options: ReplayOptions,
     interruption: Interruption,
     out: TextIO,
     line: StatusLine,
-    end: str | None,
 ) -> Iterator[ReplayBeside]:
-    """Join the bus without some agents, print how to start them, and wait until they answer.
-
-    `process_module` is the module that runs an agent by hand.
-    """
-    left_out = list(map(agent_name, find_nodes(reader.plan.tree, nodes, "--without")))
-    plan = _complete_cycles(reader, end)
+    """Join the bus without some agents, print how to start them, and wait until they answer."""
+    left_out = [
+        agent_name(node)
+        for node in find_nodes(reader.plan.tree, options.without or "", "--without")
+    ]
+    plan = _complete_cycles(reader, options.end)
     with (
         tempfile.TemporaryDirectory(prefix="heliarch-replay-") as folder,
         reserved_ports((REPLAYER, *left_out)) as tcp_ports,
     ):
-        endpoint = listen or f"tcp/127.0.0.1:{tcp_ports[REPLAYER]}"
+        endpoint = options.listen or f"tcp/127.0.0.1:{tcp_ports[REPLAYER]}"
         tcp_ports[REPLAYER] = int(endpoint.rpartition(":")[2])
         plan = _plan_beside(plan, tcp_ports)
         path = Path(folder) / "plan.json"
@@ -195,7 +192,7 @@ def replay_beside(
         with ReplayBeside(plan, left_out, endpoint, interruption, line) as bus:
             say(out, f"{plan.run_id}, {reader.clock.extent()}, without {', '.join(left_out)}")
             say(out, f"endpoint {endpoint}\nkeys {plan.run_id}/{plan.plant}/**")
-            for text in _commands(left_out, path, process_module):
+            for text in _commands(left_out, path, options.process_module):
                 say(out, text)
             bus.arm(reader)
             yield bus

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Protocol, Self, TextIO
 
 import zenoh
@@ -31,6 +32,23 @@ class StatusLine(Protocol):
     def show(self, text: str) -> None: ...
 
     def end(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """The options of the command. `rate` 0: as fast as possible.
+
+    without: Nodes whose agents are left out. process_module: What runs such an agent by hand.
+    """
+
+    start: str | None = None
+    end: str | None = None
+    rate: float = 1.0
+    loop: bool = False
+    wait: bool = False
+    listen: str | None = None
+    without: str | None = None
+    process_module: str = ""
 
 
 class ReplayBus:

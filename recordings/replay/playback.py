@@ -15,28 +15,18 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.beside import replay_beside
-from recordings.replay.bus import ReplayBus, StatusLine, await_subscriber, replay_bus, say
+from recordings.replay.bus import (
+    ReplayBus,
+    ReplayOptions,
+    StatusLine,
+    await_subscriber,
+    replay_bus,
+    say,
+)
 from recordings.replay.schedule import in_publish_order, positions
 
 _LOOK_S: Final = 0.02
 """How often Ctrl-C is looked for."""
-
-
-@dataclass(frozen=True)
-class ReplayOptions:
-    """The options of the command. `rate` 0: as fast as possible.
-
-    without: Nodes whose agents are left out. process_module: What runs such an agent by hand.
-    """
-
-    start: str | None = None
-    end: str | None = None
-    rate: float = 1.0
-    loop: bool = False
-    wait: bool = False
-    listen: str | None = None
-    without: str | None = None
-    process_module: str = ""
 
 
 def replay_recording(
@@ -58,16 +48,7 @@ def replay_recording(
             if not reader.plan.timing.lockstep and options.rate != 1.0:
                 raise InputError("--pace: expected 1: agents beside the replay have deadlines")
             bus = beside = stack.enter_context(
-                replay_beside(
-                    reader,
-                    options.without,
-                    options.process_module,
-                    options.listen,
-                    interruption,
-                    out,
-                    line,
-                    options.end,
-                )
+                replay_beside(reader, options, interruption, out, line)
             )
         playback = Playback(reader, ports, span, bus, options.rate, interruption, line)
         if options.wait:
