@@ -18,6 +18,7 @@ from collections.abc import Container, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import takewhile
 from os import SEEK_END
 from struct import Struct
 from typing import BinaryIO, Final, NamedTuple, TypeAlias
@@ -188,13 +189,8 @@ def _take_unchunked(outline: Outline, file: BinaryIO, offset: int) -> int:
     _, length = _RECORD_HEAD.unpack_from(block)
     if _RECORD_HEAD.size + length > len(block):  # A record longer than a block.
         block += file.read(_RECORD_HEAD.size + length - len(block))
-    end = 0
-    while end + _RECORD_HEAD.size <= len(block):
-        opcode, length = _RECORD_HEAD.unpack_from(block, end)
-        next_record = end + _RECORD_HEAD.size + length
-        if opcode not in _UNCHUNKED or next_record > len(block):
-            break
-        end = next_record
+    records_here = takewhile(lambda record: record[0] in _UNCHUNKED, _records_at(block))
+    end = max((end for _, _, end in records_here), default=0)
     outline.chunks.append(Chunk(offset, end, outline.file, is_record=False))
     take_channels(outline, block[:end])
     return offset + end
@@ -202,15 +198,23 @@ def _take_unchunked(outline: Outline, file: BinaryIO, offset: int) -> int:
 
 def take_channels(outline: Outline, content: bytes) -> None:
     """Enter the channels among some records; messages are passed over by their lengths."""
-    begin = 0
-    while begin + _CHANNEL_HEAD.size <= len(content):
-        opcode, length = _RECORD_HEAD.unpack_from(content, begin)
-        end = begin + _RECORD_HEAD.size + length
+    for opcode, begin, _ in _records_at(content):
         if opcode == Opcode.CHANNEL:
             _, _, number, _, topic_length = _CHANNEL_HEAD.unpack_from(content, begin)
             topic_begin = begin + _CHANNEL_HEAD.size
             topic = content[topic_begin : topic_begin + topic_length]
             outline.channels[number] = topic.decode(errors="replace")
+
+
+def _records_at(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and end of each whole record among some bytes."""
+    begin = 0
+    while begin + _RECORD_HEAD.size <= len(content):
+        opcode, length = _RECORD_HEAD.unpack_from(content, begin)
+        end = begin + _RECORD_HEAD.size + length
+        if end > len(content):
+            return
+        yield opcode, begin, end
         begin = end
 
 
@@ -324,10 +328,7 @@ def messages_in(content: bytes, channels: Container[int]) -> Iterator[RawMessage
 
 def message_records(content: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield the whole records of messages, each with its log time [ns]."""
-    begin = 0
-    while begin + MESSAGE_HEAD.size <= len(content):
-        opcode, length, _, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(content, begin)
-        end = begin + _RECORD_HEAD.size + length
+    for opcode, begin, end in _records_at(content):
         if opcode == Opcode.MESSAGE:
+            *_, log_time_ns, _ = MESSAGE_HEAD.unpack_from(content, begin)
             yield log_time_ns, content[begin:end]
-        begin = end
