@@ -34,7 +34,7 @@ def layout(plan: RunPlan, ports: Collection[Port[Any]]) -> dict[str, object]:
     for number, (title, lines) in enumerate(plots.items()):
         there = [(port, field) for port, field in lines if port in ports]
         if there:
-            paths = [_path(f"{plan.wiring.key(port)}.{field}") for port, field in there]
+            paths = [_path(f"{_topic(plan, port)}.{field}") for port, field in there]
             panels[f"Plot!heliarch{number}"] = {
                 "title": title,
                 "paths": paths,
@@ -45,8 +45,8 @@ def layout(plan: RunPlan, ports: Collection[Port[Any]]) -> dict[str, object]:
     messages: tuple[Port[Any], ...] = NOTICE.of(ROOT), DISPATCH.of(ROOT)
     for port in messages:
         if port in ports:
-            key = plan.wiring.key(port)
-            panels[f"RawMessages!heliarch{port.signal.name}"] = {"topicPath": key}
+            topic = _topic(plan, port)
+            panels[f"RawMessages!heliarch{port.signal.name}"] = {"topicPath": topic}
     return {
         "configById": panels,
         "globalVariables": {},
@@ -54,6 +54,12 @@ def layout(plan: RunPlan, ports: Collection[Port[Any]]) -> dict[str, object]:
         "playbackConfig": {"speed": 1},
         "layout": _stacked(iter(panels)),
     }
+
+
+def _topic(plan: RunPlan, port: Port[Any]) -> str:
+    """Return a topic as viewers read it in a path: in quotes where it has a hyphen."""
+    key = plan.wiring.key(port)
+    return f'"{key}"' if "-" in key else key
 
 
 def _path(value: str) -> dict[str, object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from math import isfinite
 from pathlib import Path
@@ -14,12 +15,15 @@ from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 from mcap.records import Channel, Schema
 from mcap.records import Message as McapMessage
-from recording_by_hand import written
+from plans_by_hand import with_changes
+from recording_by_hand import PLAN, written
 
 from bus_schemas.signals import DISPATCH, RESIDUAL, SIGNALS, Signal
 from recordings.export.exporting import export
+from recordings.export.foxglove import layout
 from recordings.export.mcap_copies import Clock, ViewerFile, object_schema
 from recordings.read.reader import RunReader
+from recordings.read.run_file import recorded_ports
 
 RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
 
@@ -149,3 +153,17 @@ def test_what_the_layout_beside_the_export_shows_is_in_it(
     for topic, _, field in (path.rpartition(".") for path in paths):
         assert field in json.loads(topics[topic].data)["properties"]
     assert bool(paths) == (RESIDUAL not in signals)
+
+
+@pytest.mark.parametrize("plant", ["oahu", "hope-melpitz"])
+def test_viewers_can_read_the_paths_of_a_layout(plant: str) -> None:
+    """A topic is of letters, digits, `_` and `/`, or stands in quotes."""
+    plan = with_changes(PLAN, plant=plant)
+    panels: Any = layout(plan, recorded_ports(plan))["configById"]
+    paths = [line["value"] for panel in panels.values() for line in panel.get("paths", ())]
+    topics = [path.rpartition(".")[0] for path in paths]
+    topics += [panel["topicPath"] for panel in panels.values() if "topicPath" in panel]
+    assert len(topics) > 4
+    for topic in topics:
+        assert re.fullmatch(r'[A-Za-z0-9_/]+|"[^"]+"', topic)
+        assert topic.strip('"').startswith(f"{plant}/")
