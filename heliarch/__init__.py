@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from bus_schemas.errors import InputError
-    from heliarch.recorded import Run, open_run
+    from heliarch.recorded import Run, open_run, with_units
     from heliarch.runs import (
         Diff,
         compare,
@@ -47,6 +47,7 @@ __all__ = [
     "simulate",
     "timing",
     "verify",
+    "with_units",
 ]
 
 _ELSEWHERE = {
@@ -54,6 +55,7 @@ _ELSEWHERE = {
     "Run": "heliarch.recorded",
     "load_scenario": "scenarios.scenario",
     "open_run": "heliarch.recorded",
+    "with_units": "heliarch.recorded",
 }
 """Modules of what is not in `heliarch.runs`."""
 

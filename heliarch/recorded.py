@@ -47,6 +47,13 @@ _PARAMETERS: Final = {
 """Parameters that are not named as the option of the command is."""
 
 
+_UNITS: Final = {
+    **{"_kw": "kW", "_kwh": "kWh", "_kw_per_min": "kW/min"},
+    **{"_hz": "Hz", "_s": "s", "_ns": "ns"},
+}
+"""Units by the endings of names of columns."""
+
+
 def by_parameter(function: Callable[P, T]) -> Callable[P, T]:
     """Let errors of a function name its parameters in place of the command's options.
 
@@ -105,11 +112,12 @@ class Run:
 
     @property
     def path(self) -> Path:
-        """The recording."""
+        """The recording: `run.path.stat().st_size`."""
         return self._reader.path
 
     @property
     def folder(self) -> Path:
+        """The folder of the run: `run.folder / "report.html"`."""
         return self.path.parent
 
     @property
@@ -119,7 +127,7 @@ class Run:
 
     @property
     def scenario(self) -> str:
-        """The scenario's TOML text: `tomllib.loads(run.scenario)`."""
+        """The scenario's TOML text: `tomllib.loads(run.scenario)["time"]`."""
         return self._reader.scenario
 
     @property
@@ -142,7 +150,7 @@ class Run:
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
 
-        `for port, message in run.messages("impp", nodes="c2/*"): ...`
+        `[message.power_kw for port, message in run.messages("impp", nodes="c2/*")]`
 
         signals, nodes: Which signals and which nodes; by default all.
         start, end: The first cycle, and the one before which to end: a local time (`13:49:00`), a
@@ -166,12 +174,12 @@ class Run:
     ) -> pd.DataFrame:
         """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
-        `run.frame("setpoint", nodes="c2/inv07", start="12:20", end="12:30")`
+        `run.frame("setpoint", nodes="c2/inv07", start="12:00:10", end="12:00:20")`
 
         It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
-        `node` and the signal's own fields, with units in their names. The lists inside messages
-        have tables too: `help_given`, `production_inverters`, `production_storages`,
-        `given_up_agents`, `missing_inputs`.
+        `node` and the signal's own fields, with units in their names and in `attrs["units"]`. The
+        lists inside messages have tables too: `help_given`, `production_inverters`,
+        `production_storages`, `given_up_agents`, `missing_inputs`.
         """
         (found,) = self.frames(table, nodes=nodes, start=start, end=end).values()
         return found
@@ -186,10 +194,17 @@ class Run:
     ) -> dict[str, pd.DataFrame]:
         """Return several tables by name, each as `frame` does: the recording is read once.
 
-        `impp, setpoint = run.frames("impp", "setpoint").values()`
+        `run.frames("impp", "setpoint")["setpoint"].share_kw.max()`
         """
         found = self._reader.frames(*tables, nodes=nodes, start=start, end=end)
         self._reader.warn_of_damage()
+        for table in found.values():
+            table.attrs["units"] = {
+                name: unit
+                for name in table
+                for ending, unit in _UNITS.items()
+                if str(name).endswith(ending)
+            }
         return found
 
     @cached_property
@@ -234,7 +249,7 @@ class Run:
         return _in_kw(table)
 
     def plot(self) -> go.Figure:
-        """Draw the report's figure with plotly: `run.plot().show()`."""
+        """Draw the report's figure with plotly: `run.plot().to_html()`, or `.show()`."""
         from results.report.run_report import power_figure  # noqa: PLC0415 - plotly is an extra
 
         return power_figure(self._reader)
@@ -242,13 +257,15 @@ class Run:
     def stages(self) -> pd.DataFrame:
         """Return the tidy table of a run in real time: a row for each stage in each cycle.
 
-        docs/timing.md describes its columns, and the groupby on it behind each figure of `timing`.
+        `run.stages().head()`; docs/timing.md describes its columns, and the groupby on it behind
+        each figure of `timing`.
         """
         table = stage_table(self._reader)
         self._reader.warn_of_damage()
         return table
 
     def close(self) -> None:
+        """Close its files: `run.close()`."""
         self._reader.close()
 
     def __enter__(self) -> Run:
@@ -271,7 +288,7 @@ class Run:
         }
         table = pd.Series(shown, name=self.plan.run_id, dtype=object).to_frame()
         curve = highlights(self._series).curve
-        drawn = escape("\n".join(curve_lines(curve, can_draw=True, width=100)))
+        drawn = escape("\n".join(curve_lines(curve, can_draw=True, width=80)))
         return f"{escape(repr(self))}<pre>{drawn}</pre>{table.to_html(border=0)}"
 
     def __del__(self) -> None:
@@ -282,6 +299,18 @@ class Run:
 def _in_kw(table: pd.DataFrame) -> pd.DataFrame:
     table.attrs["units"] = dict.fromkeys(table.columns, "kW")
     return table
+
+
+def with_units(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with its units in the header: `power_kw` becomes `power [kW]`.
+
+    `heliarch.with_units(run.plant).to_csv("plant.csv")`
+    """
+    names = {}
+    for name, unit in table.attrs.get("units", {}).items():
+        ending = next((one for one in _UNITS if _UNITS[one] == unit), "")
+        names[name] = f"{str(name).removesuffix(ending)} [{unit}]"
+    return table.rename(columns=names)
 
 
 def open_run(path: Path | str) -> Run:

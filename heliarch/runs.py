@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from datetime import date
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias, TypedDict, TypeVar, Unpack, get_args
 
@@ -153,8 +152,9 @@ def timing(
     preparation, folder = prepare_at(
         rate_hz, 60.0, _file(scenario, settings, data), _options(options), _folder(out)
     )
-    with _nowhere() as console:
-        return measured_run(preparation, folder, partial(PlainView, console))
+    return measured_run(
+        preparation, folder, partial(PlainView, Console(file=StringIO(), force_jupyter=False))
+    )
 
 
 @by_parameter
@@ -299,8 +299,8 @@ def _run(
     server: ForkServer | None = None,
 ) -> Run:
     asked, began_at = _options(options), time.monotonic()
-    with _nowhere() as console:
-        summary, folder = carry_out(file, asked, _folder(out), console, began_at, server)
+    quiet = Console(file=StringIO(), force_jupyter=False)
+    summary, folder = carry_out(file, asked, _folder(out), quiet, began_at, server)
     failures = [*summary.failures()]
     try:
         folder.write_summary(summary.as_json())
@@ -325,12 +325,6 @@ def _file(
 
 def _folder(out: str | Path | None) -> Path | None:
     return None if out is None else Path(out)
-
-
-@contextmanager
-def _nowhere() -> Iterator[Console]:
-    with Path(os.devnull).open("w", encoding="utf-8") as file:
-        yield Console(file=file)
 
 
 def _loaded(scenario: str | ScenarioFile, data: str | Path | None) -> ScenarioFile:

@@ -107,7 +107,7 @@ def carry_out(
     monotonic time at which the user asked for it [s].
     """
     # Thousands of inverters take minutes to cluster.
-    with Console(stderr=True).status("preparing"):
+    with Console(stderr=True, force_jupyter=False).status("preparing"):
         preparation, folder = prepare_run(file, options, out)
     if server is not None:
         check_processes(preparation.plan)  # Before anything is printed.

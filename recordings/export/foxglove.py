@@ -51,7 +51,6 @@ def layout(plan: RunPlan, ports: Collection[Port[Any]]) -> dict[str, object]:
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
-        "playbackConfig": {"speed": 1},
         "layout": _stacked(iter(panels)),
     }
 

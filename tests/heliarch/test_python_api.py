@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 import warnings
 from collections.abc import Callable
 from dataclasses import fields
@@ -125,8 +127,10 @@ print(run.summary.driver, run.power.shape[0], heliarch.verify(run.folder).equal)
 place = {str(tmp_path / "timed")!r}
 report = heliarch.timing({plant!r}, rate=10, duration="2s", out=place)
 print(report.run.cycles, heliarch.timing(place).run.cycles)
+run = heliarch.open_run(place)
+print({example_of("stages")[0]}.columns[0])
 """
-    assert python(program).stdout.split() == ["launch", "5", "True", "20", "20"]
+    assert python(program).stdout.split() == ["launch", "5", "True", "20", "20", "cycle"]
 
 
 def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(plant: str) -> None:
@@ -187,6 +191,35 @@ def test_a_damaged_recording_is_named_where_it_is_read_without_a_with_block(tmp_
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # It has been said.
         run.frame("impp", nodes="c1/a")
+
+
+@pytest.fixture(scope="module")
+def oahu(tmp_path_factory: pytest.TempPathFactory) -> heliarch.Run:
+    return heliarch.simulate("oahu", duration="30s", out=tmp_path_factory.mktemp("api") / "oahu")
+
+
+def example_of(name: str) -> list[str]:
+    return re.findall(r"`([^`]*\brun\.[^`]*)`", getattr(heliarch.Run, name).__doc__ or "")
+
+
+OF_ANY_RUN = {name for name in dir(heliarch.Run) if name[0] != "_"} - {"close", "stages"}
+
+
+@pytest.mark.parametrize("name", sorted(OF_ANY_RUN))
+def test_what_a_run_has_shows_an_example_that_runs(oahu: heliarch.Run, name: str) -> None:
+    assert example_of(name)
+    for example in example_of(name):
+        eval(example, {"run": oahu, "tomllib": tomllib})
+
+
+def test_units_are_beside_a_table_and_in_its_header_on_request(oahu: heliarch.Run) -> None:
+    frame = oahu.frame("dispatch")
+    assert frame.attrs["units"]["power_kw"] == "kW"
+    assert frame.attrs["units"]["order_ramp_kw_per_min"] == "kW/min"
+    assert "cycle" not in frame.attrs["units"]
+    assert {"cycle", "power [kW]", "order_hold [s]"} <= set(heliarch.with_units(frame).columns)
+    assert "c2/inv07 [kW]" in heliarch.with_units(oahu.power)
+    assert "power_kw" in frame
 
 
 def test_a_recording_that_was_cut_is_named_as_it_is_opened(tmp_path: Path) -> None:
