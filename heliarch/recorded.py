@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import fields
@@ -306,11 +307,9 @@ def with_units(table: pd.DataFrame) -> pd.DataFrame:
 
     `heliarch.with_units(run.plant).to_csv("plant.csv")`
     """
-    names = {}
-    for name, unit in table.attrs.get("units", {}).items():
-        ending = next((one for one in _UNITS if _UNITS[one] == unit), "")
-        names[name] = f"{str(name).removesuffix(ending)} [{unit}]"
-    return table.rename(columns=names)
+    ending = re.compile(f"({'|'.join(_UNITS)})$")
+    units = table.attrs.get("units", {}).items()
+    return table.rename(columns={name: f"{ending.sub('', name)} [{unit}]" for name, unit in units})
 
 
 def open_run(path: Path | str) -> Run:

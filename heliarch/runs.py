@@ -189,9 +189,8 @@ def export(
     with RunReader(_path(run)) as reader:
         is_whole = start is None and end is None
         cycles = None if is_whole else reader.clock.span(start, end, ("start", "end"))
-        path = None if out is None else Path(out)
         parts = find_signals(signals), nodes, cycles, clock, at, window_s
-        return export_run(reader, form, path, *parts)
+        return export_run(reader, form, _folder(out), *parts)
 
 
 @by_parameter

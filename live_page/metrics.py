@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -27,10 +28,10 @@ def metrics_text(follower: RunFollower, state: PlantState) -> bytes:
     return generate_latest(registry)
 
 
+@dataclass(eq=False)
 class _OfRun(Collector):
-    def __init__(self, follower: RunFollower, state: PlantState) -> None:
-        self._follower = follower
-        self._state = state
+    _follower: RunFollower
+    _state: PlantState
 
     def collect(self) -> Iterator[Metric]:
         follower, cycle = self._follower, self._follower.cycles - 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
@@ -42,8 +42,6 @@ from live_page.run_view import RunView
 
 _STATIC: Final = Path(__file__).with_name("static")
 _MOST_CONNECTIONS: Final = 100
-_STALLED_S: Final = 30.0
-"""A browser that has taken nothing for so long is let go."""
 
 _OPEN_RUNS: Final = 4
 _CONTENT_POLICY: Final = "Content-Security-Policy"
@@ -60,22 +58,6 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-
-
-class EventStream(StreamingResponse):
-    """Server-sent events. A browser that takes none of them for a while is let go."""
-
-    media_type = "text/event-stream"
-
-    async def stream_response(self, send: Send) -> None:
-        """Send one event after the other, each as soon as there is room for it."""
-
-        async def send_in_time(message: Any) -> None:  # noqa: ANN401 - the type is Starlette's
-            async with asyncio.timeout(_STALLED_S):
-                await send(message)
-
-        with suppress(TimeoutError):
-            await super().stream_response(send_in_time)
 
 
 class _Server(uvicorn.Server):
@@ -231,7 +213,8 @@ class PageServer:
         begin = _number(request, "from", -1.0)
         speed = max(_number(request, "speed", 0.0), 0.0)
         view = self._view(request)
-        return EventStream(self._events(view.updates(None if begin < 0 else begin, speed)))
+        events = self._events(view.updates(None if begin < 0 else begin, speed))
+        return StreamingResponse(events, media_type="text/event-stream")
 
     async def _events(self, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         self.streams += 1

@@ -40,17 +40,10 @@ def power_source(
     """
     irradiance = scenario_file.scenario.irradiance
     plant = scenario_file.scenario.plant
-    if (plant.inverters or plant.grid) and not isinstance(irradiance, CloudIrradiance):
-        raise InputError.of(
-            "plant.inverters, plant.grid",
-            "expected none with measured data, which says where the inverters are",
-        )
-    if plant.block_m > 0.0 and not isinstance(irradiance, CloudIrradiance):
-        raise InputError.of(
-            "plant.block_m",
-            "expected 0 with measured data, since only a field of clouds has a mean over a block, "
-            f"got {plant.block_m:g}",
-        )
+    is_drawn = isinstance(irradiance, CloudIrradiance)
+    if not is_drawn and (plant.inverters or plant.grid or plant.block_m > 0.0):
+        expected = "none with measured data, which says where inverters are and what they see"
+        raise InputError.of("plant.inverters, plant.grid, plant.block_m", f"expected {expected}")
     match irradiance:
         case CloudIrradiance():
             return _cloudy_sky(scenario_file, irradiance, seed, keeps=keeps)

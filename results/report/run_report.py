@@ -165,11 +165,9 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
 def run_line(plan: RunPlan) -> str:
     """Return the first line of a report: what was run, and how."""
     clusters = counted(len({parent_of(leaf) for leaf in plan.tree.leaves}), "cluster")
-    pace = (
-        f"pace {plan.timing.cycle_ns / plan.timing.cycle_wall_ns:g}"
-        if not plan.timing.lockstep
-        else "lockstep"
-    )
+    pace = "lockstep"
+    if not plan.timing.lockstep:
+        pace = f"pace {plan.timing.cycle_ns / plan.timing.cycle_wall_ns:g}"
     parts = (
         f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')} in {clusters}",
         f"scheme {plan.control.scheme}",

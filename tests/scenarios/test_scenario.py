@@ -338,7 +338,11 @@ def test_bad_inverters_are_refused(folder: Folder, old: str, new: str, complaint
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ("[irradiance]", 'inverters = "12"\n[irradiance]', "plant.inverters, plant.grid: expected"),
+        (
+            "[irradiance]",
+            'inverters = "12"\n[irradiance]',
+            "plant.inverters, plant.grid, plant.block_m: expected",
+        ),
         ("_s = 30", "_s = 30\ncycle_s = 15", "ghi.csv: expected a time.cycle_s"),
         ("hindsight", "earlier-day", "neighbours.history: expected"),
     ],
