@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
 from agents.control.fleet import feedable_ability, feedable_kw
-from agents.control.grid import desired_kw, net_kw, ramped_kw, response_kw
+from agents.control.grid import GridLaw, desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.offers import (
     OfferSettings,
     known_intervals,
@@ -154,12 +154,18 @@ class Parent:
         """Return what the storages at or below each child that has some can do."""
         return tuple(map(_ability, (turn.get(child.impp) for child in self._stores)))
 
-    def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
-        """State the sums over the children (eq. 2)."""
+    def report_up(
+        self, turn: Turn, reports: list[Report], grid: GridLaw | None = None
+    ) -> list[Delivery]:
+        """State the sums over the children (eq. 2); with a grid, what of them may be fed in."""
         impp_kw = total([report.impp_kw for report in reports])
         left_kw = total([report.residual_kw for report in reports])
         stale_cycles = max(report.stale_cycles for report in reports)
         able = together(self.abilities(turn)) if self._stores else None
+        if grid is not None:
+            able = None if able is None else feedable_ability(impp_kw, able, grid)
+            impp_kw = feedable_kw(impp_kw, grid)
+            left_kw = impp_kw - (own_share_kw(turn.get(_DISPATCH), self._sharing_kw) or 0.0)
         return own_report(self._node, turn, impp_kw, stale_cycles, left_kw, able)
 
     def setpoints(
@@ -250,41 +256,28 @@ class Supervisor(Parent):
     def step(
         self, state: MeterState | None, turn: Turn
     ) -> tuple[MeterState | None, list[Delivery]]:
+        feedback = self._feedback
         if turn.stage == "report":
-            if self._feedback is None or state is None:
+            if feedback is None or state is None:
                 return None, self.report_up(turn, self.reports(turn))
-            return self._report_metered(state, turn, self._feedback)
+            meter = turn.get(self._meter)
+            state = feedback.read(feedback.recalled(state, meter), meter)
+            outputs = self.report_up(turn, self.reports(turn), feedback.grid)
+            return state, [*outputs, (MEMORY.of(self._node), feedback.memory(state, turn))]
         setpoint = turn.get(self._setpoint)
         share_kw = own_share_kw(turn.get(_DISPATCH), self._sharing_kw)
         target_kw = share_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return state, []
         reports = self.reports(turn, target_kw)
-        if self._feedback is not None and state is not None:
-            state, target_kw = self._metered_kw(state, turn, self._feedback, target_kw, reports)
+        if feedback is not None and state is not None:
+            state, target_kw = self._metered_kw(state, turn, feedback, target_kw, reports)
         if not self._stores:
             return state, self.setpoints(turn, target_kw, reports)
         of_stores = self._of_stores(turn, setpoint, target_kw, reports)
         return state, self.setpoints(
             turn, max(target_kw - total(of_stores), 0.0), reports, of_stores
         )
-
-    def _report_metered(
-        self, state: MeterState, turn: Turn, feedback: Feedback
-    ) -> tuple[MeterState, list[Delivery]]:
-        """Read the meter, and report what the plant may feed in there."""
-        meter, reports = turn.get(self._meter), self.reports(turn)
-        state = feedback.read(feedback.recalled(state, meter), meter)
-        impp_kw = total([report.impp_kw for report in reports])
-        share_kw = own_share_kw(turn.get(_DISPATCH), self._sharing_kw)
-        power_kw = feedable_kw(impp_kw, feedback.grid)
-        able = None
-        if self._stores:
-            able = feedable_ability(impp_kw, together(self.abilities(turn)), feedback.grid)
-        stale_cycles = max(report.stale_cycles for report in reports)
-        left_kw = power_kw - (share_kw or 0.0)
-        outputs = own_report(self._node, turn, power_kw, stale_cycles, left_kw, able)
-        return state, [*outputs, (MEMORY.of(self._node), feedback.memory(state, turn))]
 
     def _metered_kw(
         self,

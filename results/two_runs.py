@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from agents.control.grid import gross_kw
 from bus_schemas.errors import InputError
+from bus_schemas.tree import PLANT
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
 from recordings.read.series import RunSeries, series_of
@@ -68,9 +69,9 @@ def _without_help(series: RunSeries) -> RunSeries:
     law, alone_kw = series.plan.grid_law, series.without_help_kw
     asked = "commitment_kw", "regulation_kw", "dispatch_kw", "frequency_hz"
     values = {name: getattr(series, name) for name in asked}
-    values["mpp_kw"] = series.mpp_kw.sum(axis=1, keepdims=True)
-    values["power_kw"] = np.array([gross_kw(kw, law) for kw in alone_kw.tolist()])[:, None]
-    alone = RunSeries.of(series.plan, "without help", values, ("plant",))
+    for name, powers_kw in (("mpp_kw", series.available_kw), ("power_kw", alone_kw)):
+        values[name] = np.array([gross_kw(kw, law) for kw in powers_kw.tolist()])[:, None]
+    alone = RunSeries.of(series.plan, "without help", values, (PLANT,))
     return replace(alone, first_cycle=series.first_cycle, baseline_kw=alone_kw)
 
 

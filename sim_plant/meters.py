@@ -10,7 +10,7 @@ import numpy as np
 from agents.control.allocation import total
 from agents.control.grid import net_kw
 from agents.plan import RunPlan
-from bus_schemas.tree import ROOT
+from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
 
 _NONE: Final = np.zeros(0)
@@ -28,7 +28,8 @@ class Meters:
         self._errors[ROOT] = plan.grid.meter_error_percent / 100.0
         self._columns = {name: _below(name, columns or tree.leaves) for name in tree.meters}
         self._storages = {name: _below(name, tree.storage_paths) for name in tree.meters}
-        self.plants = tree.meters[1:]
+        # One column may stand for all, at the fleet's meter.
+        self.plants = tree.meters[1:] if list(columns) != [PLANT] else ()
         self._beside = [
             at
             for at, path in enumerate(tree.storage_paths)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import command_line
 import numpy as np
@@ -12,6 +13,9 @@ from bus_schemas.messages import Dispatch, Message, Meter
 from bus_schemas.signals import DISPATCH, METER
 from recordings.inspect.agent_states import states_of
 from recordings.read.reader import RunReader
+from recordings.read.series import plant_series_of
+from results.figures import run_figures
+from results.two_runs import with_and_without_help
 
 RATINGS_KW = {"west": 8000.0, "north": 5500.0, "east": 8000.0}
 
@@ -35,8 +39,14 @@ def read_kw(run: RunReader) -> dict[str, np.ndarray]:
 
 def test_a_plant_keeps_its_export_limit_while_its_inverters_could_give_more(tmp_path: Path) -> None:
     # The sky over `north` gives more than its limit throughout; the fleet lacks power.
-    with RunReader(simulated(tmp_path / "run", "--set", "commitment.share=0.95")) as run:
-        read = read_kw(run)
+    folder = simulated(tmp_path / "run", "--set", "commitment.share=0.95")
+    with RunReader(folder) as run:
+        read, figures = read_kw(run), run_figures(plant_series_of(run))
+    document: Any = with_and_without_help(folder).document
+    rows = {row["figure"]: row for row in document}
+    alone = rows["Shortfall, control-caused"]["without help"]
+    assert alone == pytest.approx(figures["without-help-energy"])
+    assert rows["Available energy"]["difference"] == pytest.approx(0.0, abs=1e-6)
     north_kw = read["north/meter"][10:]
     assert np.median(north_kw) == pytest.approx(RATINGS_KW["north"], rel=0.005)
     assert north_kw.max() < RATINGS_KW["north"] * 1.02

@@ -65,6 +65,13 @@ def test_the_rating_of_a_fleet_is_what_its_plants_may_feed_in(folder: Folder) ->
     assert sum(shares[17:]) == pytest.approx(5000.0)
 
 
+def test_the_controllers_of_a_plant_go_to_another_host_together(folder: Folder) -> None:
+    secure = {"secure": True, "address": "10.0.0.1", "on": ("10.0.0.2=north/*",)}
+    plan = folder.prepare(**secure).plan
+    away = {agent for agent in plan.agents if agent.split("/")[0] == "north"}
+    assert plan.access.addresses == dict.fromkeys(away, "10.0.0.2")
+
+
 MEASURED = """\
 name = "hope"
 scenario = "hope-melpitz"
