@@ -1,7 +1,7 @@
-"""What an agent is: stages of a cycle, each a pure step from inputs to outputs.
+"""An agent: stages of a cycle, each a pure step from inputs to outputs.
 
-An agent has no clock, bus, file, log or randomness inside. The same inputs in the same cycle give
-the same outputs, to the last bit.
+It has no clock, bus, file, log or randomness inside. The same inputs in the same cycle give the
+same outputs, to the last bit.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ S = TypeVar("S")
 class Stage:
     """One step of an agent in a cycle.
 
-    awaits: Ports of which it needs the message of this cycle.
-    uses: Ports of which it also uses the newest message.
+    awaits: It needs the message of this cycle on these ports.
+    uses: It also uses the newest message on these ports.
     timed: In real time the stage closes at its deadline and never before.
     """
 
@@ -61,7 +61,7 @@ class Agent(Protocol[S]):
 
     @property
     def name(self) -> str:
-        """Name on the bus: `plant`, `central` or a node's path."""
+        """Return the name on the bus: `plant`, `central` or a node's path."""
 
     def initial_state(self) -> S:
         """State before cycle 0, and before each arming round."""

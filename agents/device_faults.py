@@ -55,7 +55,7 @@ class Copy(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class DeviceFault(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a device is sent on a key in a cycle. Without copies the message is lost."""
+    """The copies that a device is sent on a key in a cycle; without one the message is lost."""
 
     key: str
     cycle: int
@@ -63,7 +63,7 @@ class DeviceFault(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class DeviceFaults:
-    """The faults of a run, at work."""
+    """The faults of a run at work."""
 
     def __init__(self, faults: Iterable[DeviceFault]) -> None:
         self._copies = {(fault.key, fault.cycle): fault.copies for fault in faults}

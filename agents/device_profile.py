@@ -1,4 +1,4 @@
-"""What cannot be detected of a real inverter, as its user states it."""
+"""Properties of a real inverter that cannot be detected: its user states them."""
 
 from __future__ import annotations
 
@@ -36,4 +36,4 @@ class DeviceProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 PLAIN = DeviceProfile()
-"""The profile of a device of which the user states nothing."""
+"""The profile of a device without one."""

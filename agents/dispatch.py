@@ -1,4 +1,4 @@
-"""A node's share, which every controller works out from the dispatch, and its report."""
+"""The share of a node by the dispatch, and its report."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def own_report(
     residual_kw: float,
     able: Ability | None = None,
 ) -> list[Delivery]:
-    """Report upwards: IMPP, and residual (eq. 4). If that is negative, it is a call for help.
+    """Report upwards: IMPP and residual (eq. 4), and a call for help if that is negative.
 
-    `able` is what the storages below a parent can do.
+    able: What the storages below a parent can do.
     """
     impp = Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)
     if able is not None:

@@ -15,7 +15,7 @@ from bus_schemas.signals import DISPATCH, SIGNALS, Occurrence, Port
 _LEADING: Final = frozenset(
     {DISPATCH, *(one for one in SIGNALS if one.occurrence is Occurrence.EVENT)}
 )
-"""Signals that may take an agent elsewhere: into the run when it begins, or when it has begun."""
+"""Signals that may take an agent into the run, or to another cycle."""
 
 
 class Driver:
@@ -35,11 +35,9 @@ class Driver:
         self.closed = 0
 
     def leave(self, name: str) -> Loop[Any]:
-        """Go on without an agent, whose process stands still or has died."""
         return self.loops.pop(name)
 
     def join(self, loop: Loop[Any]) -> None:
-        """Go on with an agent, whose process is new or goes on itself."""
         self.loops[loop.name] = loop
         self._deadline_of[loop.name] = None
         loop.catch_up(self.now_ns())
@@ -68,7 +66,7 @@ class Driver:
         """Act on nothing more that comes."""
 
     def advance(self, loop: Loop[Any], *, is_overdue: bool = False) -> None:
-        """Close the open stage if it is overdue, and all that are complete; publish the outputs."""
+        """Close an overdue stage and all complete ones; publish the outputs."""
         bus, now_ns = self.bus, self.now_ns
         while (sent := loop.close_stage(now_ns(), is_overdue=is_overdue)) is not None:
             is_overdue = False
@@ -85,7 +83,7 @@ class Driver:
 
     @property
     def _wanted(self) -> int:
-        """The least number of messages with which one of the agents can go on."""
+        """The least number of messages that lets one of the agents go on."""
         least = 0
         for loop in self.loops.values():  # A generator would cost more than all its steps.
             waiting = len(loop.waiting)

@@ -38,7 +38,7 @@ class EagerDriver(Driver):
             yield self.wait_and_act()
 
     def wait_and_act(self, longest_ns: int | None = None) -> Sequence[Arrival]:
-        """Sleep until the next deadline, close what is overdue; raise errors of Zenoh's thread."""
+        """Sleep until the next deadline, close overdue stages; raise errors of Zenoh's thread."""
         with self._lock:
             until_ns = self._until_ns(longest_ns)
             self._sleeps_to_ns = inf if until_ns is None else until_ns
@@ -54,9 +54,9 @@ class EagerDriver(Driver):
             self._zenoh.inbox.on_enough = self._zenoh.inbox.wake
 
     def _act(self, *, on_own_thread: bool = False) -> list[Arrival]:
-        """Act until less has come than is wanted; the agent's own thread closes what is overdue.
+        """Act until fewer messages are there than wanted; the own thread closes overdue stages.
 
-        Zenoh's thread must outlive a fault of ours: the agent's own raises it.
+        Zenoh's thread must outlive a fault of ours: the own thread raises it.
         """
         arrivals: list[Arrival] = []
         is_earlier, closes_overdue = False, on_own_thread

@@ -58,10 +58,7 @@ class Incident(NamedTuple):
 
 
 def incidents(faults: Sequence[Fault], tree: ControlTree, wiring: Wiring) -> list[Incident]:
-    """Return what happens to agents by the faults of a run, in the order of time.
-
-    What happens to a process happens to all its agents.
-    """
+    """Return what happens to all agents of a process by the faults of a run, in order."""
     due: list[Incident] = []
     for fault in faults:
         if not isinstance(fault, Kill | Freeze):

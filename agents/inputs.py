@@ -59,7 +59,7 @@ class Input:
 
 
 class Place(NamedTuple):
-    """Where an agent is when a message comes.
+    """The place of an agent when a message comes.
 
     cycle: Its cycle, below 0 in arming rounds.
     horizon: Cycles by which a publisher may be ahead.
@@ -71,7 +71,6 @@ class Place(NamedTuple):
     cycles: int
 
     def is_far(self, of: int) -> bool:
-        """Whether a cycle is further ahead than any publisher may be."""
         return of > max(self.cycle, 0) + self.horizon
 
 
@@ -170,9 +169,9 @@ class Inputs:
     def take(self, one: Input, message: Message, cycle: int) -> bool:
         """Take in a message, or refuse it and return False.
 
-        One of a cycle to come is kept: it may overtake the dispatch that lets an agent join. Before
-        that an agent does not know which cycle is under way, and keeps the newest message. One with
-        a bad number is not used, and keeps no agent waiting.
+        A message of a cycle to come is kept: it may overtake the dispatch that lets an agent join.
+        Before it joins, an agent keeps the newest one. A message with a bad number is not used, and
+        keeps no agent waiting.
         """
         of = message.cycle
         # Nearly all are of this cycle, and from the process that is known.
@@ -201,7 +200,7 @@ class Inputs:
         return True
 
     def take_order(self, port: Port[Message], order: Order, cycle: int) -> None:
-        """Take in an order, which may come in any cycle, unless it has been long on its way."""
+        """Take in an order, of any cycle, unless it has been long on its way."""
         if not is_within(order, self._order_bounds):
             self.drop(Cause.OUT_OF_RANGE, port, order, "contains a value out of range", cycle)
         elif order.cycle < cycle - self._hold_cycles - 1:
@@ -217,7 +216,7 @@ class Inputs:
                     self.take(one, one.ahead.pop(due), cycle)
 
     def used(self, stage: Stage, cycle: int) -> tuple[dict[Port[Message], Any], tuple[str, ...]]:
-        """Return what a stage decides on, see `Turn.inputs`, and its outputs' `missing`."""
+        """Return the inputs of a stage, see `Turn.inputs`, and the `missing` of its outputs."""
         found: dict[Port[Message], Any] = {}
         missing: list[str] = []
         for port in chain(stage.awaits, stage.uses):

@@ -43,7 +43,7 @@ class Loop(Generic[S]):
     on_drop: See `Inputs`.
 
     incarnation: The cycle in which its process joined the run: 0, unless it replaces another.
-    waiting: Ports of which the open stage still awaits a message.
+    waiting: Ports on which the open stage still awaits a message.
     deadline_ns: When the open stage closes at the latest, on the run's clock. None: it waits.
     """
 
@@ -104,12 +104,12 @@ class Loop(Generic[S]):
                     self._ready_ns = time_ns
 
     def _follow_clock(self, dispatch: Message, time_ns: int) -> None:
-        """Go to the cycle under way if the message that set the clock had been long on its way."""
+        """Go to the cycle under way if the message that set the clock had come late."""
         if self.cycle >= 0 and self.times.begins_earlier(dispatch, time_ns):
             self.catch_up(time_ns)
 
     def _hear_dispatch(self, one: Input, dispatch: Message, time_ns: int) -> None:
-        """Go where the plant is: to another round, or into a run under way; or on after a stop."""
+        """Follow the plant to another round, into a run under way, or on after a stop."""
         if self.cycle < 0 and dispatch.cycle > self.cycle and is_within(dispatch, one.bounds):
             if dispatch.cycle < 0:
                 self.enter(dispatch.cycle, time_ns)
@@ -139,7 +139,7 @@ class Loop(Generic[S]):
             self.begin(self.times.on_this_clock(run.start_time_ns, time_ns), time_ns)
 
     def _forget_false_stop(self, dispatch: Message, now_ns: int) -> None:
-        """Go on with the run: the plant has begun a cycle that a stop said would not take place."""
+        """Go on with the run: the plant has begun a cycle after the stop."""
         why = f"stopped the run before cycle {self.times.end_cycle}, which the plant has begun"
         self.inputs.drop(Cause.CONFLICTING, RUN.of(ROOT), dispatch, why, self.cycle)
         was_finished = self.finished
@@ -156,7 +156,7 @@ class Loop(Generic[S]):
         self.enter(cycle, now_ns)
 
     def _join(self, dispatch: Message, now_ns: int) -> None:
-        """Join a run that is under way: the dispatch says in which cycle it is, and since when."""
+        """Join a run under way: the dispatch says in which cycle it is, and since when."""
         cycle, times = dispatch.cycle, self.times
         start_ns = times.start_by(dispatch, now_ns)
         times.start(start_ns)
@@ -168,7 +168,7 @@ class Loop(Generic[S]):
             self.inputs.take(self.inputs.of[_DISPATCH], dispatch, cycle)
 
     def end_before(self, cycle: int) -> None:
-        """Let the run end before a cycle: those up to it are still completed."""
+        """Let the run end before a cycle."""
         self.times.end_cycle = min(self.times.end_cycle, cycle)
         if self.finished:
             self._stages, self.waiting, self.deadline_ns = (), set(), None
@@ -188,7 +188,7 @@ class Loop(Generic[S]):
         self._go_to(cycle, now_ns)
 
     def catch_up(self, now_ns: int) -> bool:
-        """Go to the cycle under way if the agent's own is over; return whether it was."""
+        """Go to the cycle under way if the own cycle is over; return whether it was."""
         under_way = None if self.finished else self.times.goes_on_in(self.cycle, now_ns)
         if under_way is None:
             return False
@@ -217,10 +217,7 @@ class Loop(Generic[S]):
             self.waiting -= self.inputs.given_up
 
     def close_stage(self, now_ns: int, *, is_overdue: bool = False) -> list[Delivery] | None:
-        """Close the open stage if it is complete or overdue; return what the agent sends.
-
-        None: the stage stays open, or there is none.
-        """
+        """Close the open stage if it is complete or overdue; return the outputs, None if not."""
         if self._position >= len(self._stages) or (self.waiting and not is_overdue):
             return None
         stage, cycle, deadline_ns = self._stages[self._position], self.cycle, self.deadline_ns

@@ -22,7 +22,7 @@ MOST_VALUES: Final = 100_000_000
 
 
 class _Version(msgspec.Struct):
-    """What a plan of any version says."""
+    """The version of a plan."""
 
     protocol: int
 

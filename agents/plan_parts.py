@@ -77,7 +77,7 @@ class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.cycle_ns / 1e9
 
     def is_on_clock(self, start_ns: int, now_ns: int) -> bool:
-        """Whether a time at which a run begins can be of the clock that says now."""
+        """Whether the beginning of a run can be by the clock of `now_ns`."""
         return self.lockstep or abs(start_ns - now_ns) <= START_WITHIN_NS
 
     def sim_time_ns(self, cycle: int) -> int:
@@ -126,7 +126,7 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
 
     def period(self, port: Port[Message]) -> int:
-        """Return how many cycles there are from one message of a port to the next."""
+        """Return the cycles from one message of a port to the next."""
         if port.signal.occurrence is not Occurrence.TURN:
             return 1
         return self.periods.cycles[depth(parent_of(port.node))]
@@ -252,7 +252,7 @@ class PlannedOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             raise InputError.of("hold_s", "expected power_kw with it, got schedule = true")
 
     def cycle(self, cycle_s: float) -> int:
-        """Return the first cycle with it: the one under way at its time."""
+        """Return the cycle under way at its time."""
         return int(self.at / cycle_s + 1e-9)
 
 

@@ -1,4 +1,4 @@
-"""When the run begins and ends, as far as an agent knows."""
+"""Times of the run, as an agent knows them."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from bus_schemas.tree import PLANT
 log = logging.getLogger(__name__)
 
 _SUSPENDED_S: Final = 2.0
-"""A plant that is further behind goes to the cycle under way as all others do: its machine was
-suspended. Up to this or to the hold it goes through each cycle."""
+"""A plant that is further behind than this and the hold goes to the cycle under way as all others do:
+its machine was suspended."""
 
 
 class RunTimes:
-    """Times of a run on the clock of an agent.
+    """Times on the clock of an agent.
 
     start_ns: Beginning of cycle 0. None: in lockstep, or not known yet.
     is_estimated: Whether the agent took it from when a message came.

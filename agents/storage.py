@@ -19,7 +19,7 @@ from bus_schemas.messages import Command, Telemetry
 
 
 class StorageState(msgspec.Struct, frozen=True, gc=False):
-    """What its storage can do, by the newest telemetry; how old that is, and its cycle."""
+    """The ability of its storage by the newest telemetry, and the age and cycle of that."""
 
     able: Ability
     stale_cycles: int
@@ -56,7 +56,7 @@ class StorageController(LeafController):
         return state, report
 
     def _ability(self, telemetry: Telemetry) -> Ability:
-        """Return what the storage can do; nothing if it does not say what is stored in it."""
+        """Return the ability of the storage; none if it does not state its energy."""
         energy_kwh = telemetry.energy_kwh
         most_kw = self._law.rating_kw * (1.0 + METER_TOLERANCE)
         if not isinstance(energy_kwh, float) or not abs(telemetry.power_kw) <= most_kw:

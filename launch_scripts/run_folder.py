@@ -72,10 +72,7 @@ def new_run_id(scenario: str) -> str:
 def run_folder(run_id: str, out: Path | None) -> RunFolder:
     """Choose the folder of a run; do not make it yet."""
     path = out or Path("runs") / run_id
-    if path.is_symlink() and not path.exists():
-        got = f"got {path}, a link to {path.readlink()}, which does not exist"
-        raise InputError.of("--out", f"expected a new or empty folder, {got}")
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+    if os.path.lexists(path) and (not path.is_dir() or any(path.iterdir())):
         raise InputError.of(
             "--out", f"expected a new or empty folder, got {path}, which exists already"
         )

@@ -35,7 +35,7 @@ def health_lines(
     yield "inputs", _missed_text(overview, clock)
     for span in overview.states[:_NAMED]:
         yield "states", span.text(clock)
-    if others := len(overview.states[_NAMED:]) + overview.more_states:
+    if others := len(overview.states[_NAMED:]):
         yield "states", f"and {others:,} more"
     # Messages show which agents restarted; the recorder publishes none.
     if recorder := document.restarts.get(RECORDER) if document else None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 
@@ -20,8 +20,6 @@ from recordings.read.run_file import RECOVERY_METADATA
 from recordings.read.series import Listener
 
 Gaps: TypeAlias = dict[Port[Message], PortGaps]
-
-_MOST_STATES: Final = 100
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -72,7 +70,6 @@ class Overview(msgspec.Struct, frozen=True, kw_only=True):
     lost: dict[str, int] = {}
     misses: tuple[Misses, ...] = ()
     states: tuple[AgentSpan, ...] = ()
-    more_states: int = 0
     stop_cycle: int | None
 
     @property
@@ -149,8 +146,7 @@ def read_through(
         ),
         lost=dict(lost.most_common()),
         misses=_misses(plan, states),
-        states=tuple(spans[:_MOST_STATES]),
-        more_states=len(spans[_MOST_STATES:]),
+        states=tuple(spans),
         stop_cycle=run.stop_cycle,
     )
     return overview, gaps

@@ -172,5 +172,4 @@ def test_a_link_to_nothing_is_no_folder_for_a_run(plant: str, tmp_path: Path) ->
     (tmp_path / "run").symlink_to(tmp_path / "nowhere")
     line = refusal("simulate", plant, "--duration", "5", "--out", str(tmp_path / "run"))
     assert "--out" in line
-    assert "nowhere" in line
     assert not (tmp_path / "nowhere").exists()
