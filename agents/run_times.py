@@ -15,8 +15,8 @@ from bus_schemas.tree import PLANT
 log = logging.getLogger(__name__)
 
 _SUSPENDED_S: Final = 2.0
-"""A plant that is further behind than this and the hold goes to the cycle under way as all others do:
-its machine was suspended."""
+"""A plant that is further behind than this and the hold goes to the cycle under way, as all others
+do: its machine was suspended."""
 
 
 class RunTimes:
