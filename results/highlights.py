@@ -122,9 +122,9 @@ def _hard_minutes(series: RunSeries) -> Iterator[HardMinute]:
 def _sides(series: RunSeries, row: int) -> tuple[list[tuple[str, float]], list[tuple[str, float]]]:
     """Return the nodes below and above their share in a cycle, and by how much [kW]."""
     tree, power_kw = series.plan.tree, series.power_kw[row]
-    rating_kw = np.array([tree.rating_kw(node) for node in series.inverters])
+    sharing_kw = np.array([tree.sharing_kw(node) for node in series.inverters])
     needed_kw = float(series.desired_kw[row] + series.lost_kw[row])
-    over_kw = power_kw - rating_kw * (needed_kw / tree.rating_kw(ROOT))
+    over_kw = power_kw - sharing_kw * (needed_kw / tree.rating_kw(ROOT))
     order = np.argsort(over_kw, kind="stable")
     pairs = [(series.inverters[column], float(over_kw[column])) for column in order.tolist()]
     lacking = [(node, -kw) for node, kw in pairs if kw <= -_LEAST_KW]
