@@ -29,7 +29,7 @@ def inverters(
     span: TimeOptions = TimeOptions(),
     data: Data = None,
 ) -> None:
-    """Serve simulated inverters and storages over Modbus TCP, in real time.
+    """Serve simulated inverters and storages over Modbus TCP.
 
     They are SunSpec devices under the clouds of the scenario: another plant controller can read
     and command them. The last unit is the meter at the plant's connection. Ends with the scenario,
