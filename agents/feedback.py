@@ -15,7 +15,6 @@ from agents.control.correction import (
     CorrectionLaw,
     corrected,
     corrected_kw,
-    nothing_metered,
     with_reading,
 )
 from agents.control.grid import GridLaw
@@ -44,9 +43,6 @@ class Feedback:
 
     law: CorrectionLaw
     grid: GridLaw
-
-    def nothing_metered(self) -> Correction:
-        return nothing_metered(self.law)
 
     def recalled(self, state: _State, meter: Meter | None) -> _State:
         """Go on, in a new process, from what the one before it stated last."""

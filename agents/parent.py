@@ -21,6 +21,7 @@ from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
+from agents.control.correction import nothing_metered
 from agents.control.fleet import feedable_ability, feedable_kw
 from agents.control.grid import GridLaw, desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.offers import (
@@ -244,7 +245,7 @@ class Supervisor(Parent):
 
     def initial_state(self) -> MeterState | None:
         """Return nothing without a meter: the newest messages are all that is needed."""
-        return MeterState(self._feedback.nothing_metered()) if self._feedback else None
+        return MeterState(nothing_metered(self._feedback.law)) if self._feedback else None
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the newest setpoint holds."""
@@ -341,7 +342,7 @@ class CentralController(Parent):
         self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
     def initial_state(self) -> CentralState:
-        first = self._feedback.nothing_metered()
+        first = nothing_metered(self._feedback.law)
         course = Course((nan,) * (self._pursuit.delay + 1), nan)
         if self._offers is None:
             return CentralState(first, course=course)

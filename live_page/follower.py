@@ -27,6 +27,7 @@ from recordings.read.mcap_file import Chunk, walk_on
 from recordings.read.reader import RunReader, stop_after
 from recordings.read.series import SeriesCollector, columns_of
 from results.figures import Figures, run_figures
+from results.plants import PlantFigures, plant_figures
 from results.report.decimation import extremes
 from results.run_document import End, Outcome, failure_in
 from sim_plant.orders import order_event
@@ -140,6 +141,10 @@ class RunFollower:
             return None
         series = self._powers.series(self.plan.run_id).between(0, end)
         return run_figures(series) if series.known.any() else None
+
+    def plants(self, end: int) -> Iterator[PlantFigures]:
+        """Yield what each plant of a fleet gave up to a cycle, without it."""
+        yield from plant_figures(self._powers.series(self.plan.run_id).between(0, end))
 
     def _next_chunk(self) -> Chunk | None:
         """Return the next chunk that is there as a whole."""

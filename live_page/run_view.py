@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 from math import ceil
 from pathlib import Path
@@ -19,6 +19,7 @@ from live_page.plant_state import PlantState, columns
 from live_page.run_events import Event
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 from results.figures import Figures, Shown, shown_in
+from results.plants import PlantFigures
 from sunspec.process import read_accounts
 
 _UPDATE_S: Final = 0.1
@@ -157,7 +158,8 @@ class RunView:
                 shown = cycle
             began_at = time.monotonic()
             if cycle != counted and began_at >= figures_at:
-                news["figures"] = {"cycle": cycle, "rows": _figures(follower.metrics(cycle + 1))}
+                rows = _figures(follower.metrics(cycle + 1), follower.plants(cycle + 1))
+                news["figures"] = {"cycle": cycle, "rows": rows}
                 counted = cycle
                 figures_at = time.monotonic() + _FIGURES_SHARE * (time.monotonic() - began_at)
             if is_slow_due := began_at > slow_at + _SLOW_S:
@@ -199,11 +201,14 @@ class RunView:
             await asyncio.sleep(_UPDATE_S if up_to_date else _READING_S / 3)
 
 
-def _figures(found: Figures | None) -> list[dict[str, str]]:
+def _figures(found: Figures | None, plants: Iterator[PlantFigures]) -> list[dict[str, str]]:
     if found is None:
         return []
     return [
         {"title": figure.title, "unit": figure.unit, "value": f"{value:z,.{figure.decimals}f}"}
         for figure in shown_in(Shown.SUMMARY)
         if (value := found[figure.name]) is not None
+    ] + [
+        {"title": f"Delivered by {one.name}", "unit": "kWh", "value": f"{one.delivered_kwh:,.1f}"}
+        for one in plants
     ]

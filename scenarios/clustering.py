@@ -89,10 +89,7 @@ def neighbourhoods(
 
 
 def between(history_kw: Sequence[dict[int, NDArray[np.float64]]]) -> NodeNeighbourhoods:
-    """Return the correlation between the plants of a fleet, hour by hour.
-
-    None of an hour in which their pasts have different steps, or other beginnings.
-    """
+    """Return the correlation between a fleet's plants, in the hours in which their pasts match."""
     hours, single = [], [(place,) for place in range(len(history_kw))]
     for time_ns in sorted(set[int]().union(*history_kw)):
         columns = [one[time_ns] for one in history_kw if time_ns in one]

@@ -75,10 +75,9 @@ class Meters:
         """Return what could be fed in without storages: of a plant not more than its limit."""
         if not self.plants:
             return self.fed_in_kw(mpp_kw)
-        limits_kw = [self._laws[name].pmax_kw for name in self.plants]
         parts = [
-            np.clip(self.plant_kw(name, mpp_kw), 0.0, limit)
-            for name, limit in zip(self.plants, limits_kw, strict=True)
+            np.clip(self.plant_kw(name, mpp_kw), 0.0, self._laws[name].pmax_kw)
+            for name in self.plants
         ]
         return net_kw(np.sum(parts, axis=0), self._laws[ROOT])
 

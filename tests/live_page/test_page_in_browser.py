@@ -129,6 +129,7 @@ def test_a_fleet_is_drawn_as_a_whole_and_plant_by_plant(window: Browser, tmp_pat
         window.open(page.address)
         window.until(at(CYCLES - 1), "the last cycle")
         assert window.run(drawn) == 4
+        assert "Delivered by east" in window.text("#figures")
         assert window.run(near), "plants are drawn too far from each other to be seen"
         window.run(
             "const choice = document.querySelector('#plants'); choice.value = 'east';"
