@@ -16,7 +16,7 @@ class PlantFigures(msgspec.Struct, frozen=True):
     """A plant of a fleet in a run.
 
     rating_kw: Its export limit.
-    given_kwh, got_kwh: What it gave beyond its share of what was wanted, and what others gave it.
+    above_kwh, below_kwh: What it gave beyond its share of what was wanted, and what it lacked.
     highest_kw: The most that its meter showed.
     """
 
@@ -24,8 +24,8 @@ class PlantFigures(msgspec.Struct, frozen=True):
     rating_kw: float
     available_kwh: float
     delivered_kwh: float
-    given_kwh: float
-    got_kwh: float
+    above_kwh: float
+    below_kwh: float
     highest_kw: float
 
 
@@ -34,8 +34,8 @@ _COLUMNS: Final = (
     Column("rating", "kW", 0, name="rating_kw"),
     Column("available", "kWh", 1, name="available_kwh"),
     Column("delivered", "kWh", 1, name="delivered_kwh"),
-    Column("given to others", "kWh", 2, name="given_kwh"),
-    Column("got from others", "kWh", 2, name="got_kwh"),
+    Column("above its share", "kWh", 2, name="above_kwh"),
+    Column("below its share", "kWh", 2, name="below_kwh"),
     Column("highest", "kW", 1, name="highest_kw"),
 )
 
@@ -54,8 +54,8 @@ def plant_figures(series: RunSeries) -> Iterator[PlantFigures]:
             rating_kw,
             available_kwh=float(could_kw.sum()) * hours,
             delivered_kwh=float(fed_in_kw.sum()) * hours,
-            given_kwh=float(np.maximum(beyond_kw, 0.0).sum()) * hours,
-            got_kwh=float(np.maximum(-beyond_kw, 0.0).sum()) * hours,
+            above_kwh=float(np.maximum(beyond_kw, 0.0).sum()) * hours,
+            below_kwh=float(np.maximum(-beyond_kw, 0.0).sum()) * hours,
             highest_kw=float(fed_in_kw.max(initial=0.0)),
         )
 

@@ -40,6 +40,7 @@ def order(
     """
     from agents.plan_file import load_plan
     from bus_schemas.tree import ROOT
+    from recordings.read.run_file import RECORDING_NAME
     from results.live_answer import LiveAnswer
     from scenarios.powers import parse_power_kw, parse_ramp_kw_per_min
     from scenarios.times import parse_duration_s
@@ -48,7 +49,7 @@ def order(
 
     if power == "schedule" and hold is not None:
         raise InputError.of("--hold", "expected a power with it, got schedule")
-    folder, output = run if run.is_dir() else run.parent, Output(json)
+    folder, output = run.parent if run.name == RECORDING_NAME else run, Output(json)
     if not (folder / "plan.json").exists():
         raise InputError(f"{run}: expected the folder of a run, got none")
     plan = load_plan(folder / "plan.json")

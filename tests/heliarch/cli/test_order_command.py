@@ -44,6 +44,8 @@ def test_a_run_that_is_over_or_is_none_is_refused_in_one_line(run: Path, tmp_pat
     other = tmp_path / "other"
     other.mkdir()
     assert str(other) in refusal("order", other, "2kW")
+    # Of a fleet somebody may mean a plant: the order must not reach them all.
+    assert str(run / "west") in refusal("order", run / "west", "2kW")
     with obeying_plant(other, PLAN):
         pass
     assert "under way" in refusal("order", other, "2kW")
