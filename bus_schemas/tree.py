@@ -88,7 +88,7 @@ class ControlTree:
 
     @cached_property
     def _ratings_kw(self) -> dict[str, float]:
-        of_parents = {path: self.inverters_kw(path) for path in self._leaves_below}
+        of_parents = dict(self._inverters_kw)
         if self.plants:
             limits = {name: min(limit, of_parents[name]) for name, limit in self.plants}
             of_parents |= limits | {ROOT: fsum(limits.values())}
@@ -96,7 +96,12 @@ class ControlTree:
 
     def inverters_kw(self, path: str) -> float:
         """Sum of the ratings of the inverters at or below a node."""
-        return fsum(self.inverters[index][1] for index in self.leaves_below(path))
+        return self._inverters_kw[path]
+
+    @cached_property
+    def _inverters_kw(self) -> dict[str, float]:
+        kw = [rating_kw for _, rating_kw in self.inverters]
+        return {path: fsum(kw[at] for at in below) for path, below in self._leaves_below.items()}
 
     @property
     def meters(self) -> tuple[str, ...]:
@@ -140,10 +145,7 @@ class ControlTree:
         return path in self.storage_paths
 
     def rating_kw(self, path: str) -> float:
-        """Rating of a device; of a parent, that of the inverters below it.
-
-        That of a fleet's plant is not above its export limit, and the fleet's is their sum.
-        """
+        """Rating of a device; of a parent, what the inverters below it may feed in together."""
         return self._ratings_kw[path]
 
     def sharing_kw(self, path: str) -> float:
