@@ -10,7 +10,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from itertools import chain
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from agents.agent import Stage
 from agents.plan import RunPlan
@@ -56,73 +56,6 @@ class Input:
         self.incarnation = 0
         self.newest: Message | None = None
         self.ahead: dict[int, Message] = {}
-
-
-class Place(NamedTuple):
-    """The place of an agent when a message comes.
-
-    cycle: Its cycle, below 0 in arming rounds.
-    horizon: Cycles by which a publisher may be ahead.
-    cycles: Length of the run.
-    """
-
-    cycle: int
-    horizon: int
-    cycles: int
-
-    def is_far(self, of: int) -> bool:
-        return of > max(self.cycle, 0) + self.horizon
-
-
-class Refusal(NamedTuple):
-    """A reason to refuse a message, whether it applies, and the reason in words."""
-
-    cause: Cause
-    applies: Callable[[Input, Message, Place], bool]
-    why: str
-
-
-REFUSALS: Final = (
-    Refusal(
-        Cause.WRONG_SENDER,
-        lambda one, m, at: m.incarnation < one.incarnation,
-        "is of a process that joined in cycle {m.incarnation}, since replaced",
-    ),
-    Refusal(
-        Cause.OUT_OF_RANGE,
-        lambda one, m, at: 0 < m.incarnation > m.cycle,
-        "is of a process that joined in cycle {m.incarnation}, which is yet to come",
-    ),
-    Refusal(
-        Cause.WRONG_CYCLE,
-        lambda one, m, at: m.cycle >= at.cycles or (at.cycle >= 0 and at.is_far(m.cycle)),
-        "is too far from {at.cycle}",
-    ),
-    Refusal(
-        Cause.DUPLICATE,
-        lambda one, m, at: m.cycle == one.newest_cycle,
-        "came after that of cycle {one.newest_cycle}",
-    ),
-    Refusal(
-        Cause.LATE,
-        lambda one, m, at: m.cycle < one.newest_cycle,
-        "came after that of cycle {one.newest_cycle}",
-    ),
-    Refusal(Cause.DUPLICATE, lambda one, m, at: m.cycle in one.ahead, "came twice"),
-    Refusal(
-        Cause.WRONG_CYCLE,
-        lambda one, m, at: (
-            m.cycle > at.cycle and not at.is_far(m.cycle) and len(one.ahead) > at.horizon
-        ),
-        "is one of too many that are ahead",
-    ),
-    Refusal(
-        Cause.WRONG_CYCLE,
-        lambda one, m, at: m.cycle >= 0 and m.cycle % one.period != 0,
-        "is not of a turn of its sender",
-    ),
-)
-"""Why an input refuses a message: the first reason that applies counts, and nothing changes."""
 
 
 class Inputs:
@@ -174,19 +107,17 @@ class Inputs:
         keeps no agent waiting.
         """
         of = message.cycle
-        # Nearly all are of this cycle, and from the process that is known.
-        if not (
+        is_usual = (
             one.newest_cycle < of == cycle < self._cycles
             and message.incarnation == one.incarnation
             and not one.ahead
             and not of % one.period
-        ):
-            place = Place(cycle, self._horizon, self._cycles)
-            for cause, is_refused, why in REFUSALS:
-                if is_refused(one, message, place):
-                    words = why.format(one=one, m=message, at=place)
-                    self.drop(cause, one.port, message, words, cycle)
-                    return False
+        )
+        refused = None if is_usual else self._refusal(one, message, cycle)
+        if refused is not None:
+            cause, why = refused
+            self.drop(cause, one.port, message, why, cycle)
+            return False
         if of > cycle:
             if cycle < 0 and of > self._horizon:
                 one.ahead.clear()
@@ -198,6 +129,35 @@ class Inputs:
         else:
             self.drop(Cause.OUT_OF_RANGE, one.port, message, "contains a value out of range", cycle)
         return True
+
+    def _refusal(self, one: Input, message: Message, cycle: int) -> tuple[Cause, str] | None:
+        """Return why an input refuses a message: the first reason counts, and nothing changes."""
+        of, joined, newest = message.cycle, message.incarnation, one.newest_cycle
+        farthest = max(cycle, 0) + self._horizon
+        process = f"is of a process that joined in cycle {joined}"
+        reasons = (
+            (joined < one.incarnation, Cause.WRONG_SENDER, f"{process}, since replaced"),
+            (0 < joined > of, Cause.OUT_OF_RANGE, f"{process}, which is yet to come"),
+            (
+                of >= self._cycles or (cycle >= 0 and of > farthest),
+                Cause.WRONG_CYCLE,
+                f"is too far from {cycle}",
+            ),
+            (of == newest, Cause.DUPLICATE, f"came after that of cycle {newest}"),
+            (of < newest, Cause.LATE, f"came after that of cycle {newest}"),
+            (of in one.ahead, Cause.DUPLICATE, "came twice"),
+            (
+                cycle < of <= farthest and len(one.ahead) > self._horizon,
+                Cause.WRONG_CYCLE,
+                "is one of too many that are ahead",
+            ),
+            (
+                of >= 0 and of % one.period != 0,
+                Cause.WRONG_CYCLE,
+                "is of a cycle in which its sender does not act",
+            ),
+        )
+        return next(((cause, why) for applies, cause, why in reasons if applies), None)
 
     def take_order(self, port: Port[Message], order: Order, cycle: int) -> None:
         """Take in an order, of any cycle, unless it has been long on its way."""
