@@ -63,3 +63,50 @@ def test_a_plant_that_is_cut_off_serves_its_own_share_and_is_named(tmp_path: Pat
     np.testing.assert_allclose(read["west/meter"][alone], share_kw[alone], rtol=0.01)
     np.testing.assert_allclose(read["meter"][alone], read["dispatch"][alone], rtol=0.01)
     assert [(one.agent, one.kind, one.first_cycle) for one in spans] == [("west", "cut off", 15)]
+
+
+RAMPED = """\
+name = "ramped"
+title = "Two plants under a clear sky, one of which may only rise slowly"
+
+[time]
+start = 2010-04-01T12:00:00
+timezone = "Pacific/Honolulu"
+duration_s = 60
+
+[commitment]
+kind = "constant"
+power_kw = 4000
+
+[[plants]]
+name = "slow"
+scenario = "oahu"
+
+[plants.set]
+"irradiance.clouds.cloud_cover" = 0.0
+"grid.ramp_up_kw_per_min" = 3000.0
+
+[[plants]]
+name = "quick"
+scenario = "oahu"
+
+[plants.set]
+"irradiance.clouds.cloud_cover" = 0.0
+
+[[orders]]
+at = 20
+power_kw = 7000
+"""
+
+
+def test_a_plant_keeps_its_ramp_limit_at_its_own_meter(tmp_path: Path) -> None:
+    (tmp_path / "ramped.toml").write_text(RAMPED, encoding="utf-8")
+    folder = tmp_path / "run"
+    result = command_line.heliarch("simulate", str(tmp_path / "ramped.toml"), "--out", folder)
+    assert result.exit_code == 0, result.output
+    with RunReader(folder) as run:
+        read = read_kw(run)
+    steps_kw = {plant: np.diff(read[f"{plant}/meter"][15:]) for plant in ("slow", "quick")}
+    assert steps_kw["quick"].max() > 1000.0
+    assert steps_kw["slow"].max() < 3000.0 / 60.0 * 1.1
+    assert read["slow/meter"][-1] > 3400.0

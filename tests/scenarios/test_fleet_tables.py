@@ -65,6 +65,14 @@ def test_the_rating_of_a_fleet_is_what_its_plants_may_feed_in(folder: Folder) ->
     assert sum(shares[17:]) == pytest.approx(5000.0)
 
 
+def test_a_plant_may_have_a_time_zone_of_its_own(folder: Folder) -> None:
+    before = folder.prepare()
+    folder.change('"plant.delay_s" = 2.0', '"time.timezone" = "America/Anchorage"')
+    after = folder.prepare()
+    np.testing.assert_array_equal(after.profile.mpp_kw, before.profile.mpp_kw)
+    assert after.plan.control.neighbourhoods == before.plan.control.neighbourhoods
+
+
 def test_the_controllers_of_a_plant_go_to_another_host_together(folder: Folder) -> None:
     secure = {"secure": True, "address": "10.0.0.1", "on": ("10.0.0.2=north/*",)}
     plan = folder.prepare(**secure).plan
