@@ -36,7 +36,7 @@ from launch_scripts.process_record import Process, has_exited, is_through
 from launch_scripts.processes import Processes
 from launch_scripts.run_end import Dropped, begun, ended, process_account
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.stall import stall
+from launch_scripts.stall import who_waits
 from launch_scripts.view import View
 from results.run_document import RunDocument
 from scenarios.elsewhere import check_devices, listening
@@ -228,7 +228,9 @@ class _Launch:
         gather_s = _GATHER_S + self._plan.timing.stall_timeout_s
         if self.stalled_at is None or now < self.stalled_at + gather_s:
             return
-        line, to_blame = stall(processes.own, self._plan)
+        stopped = [process.name for process in processes.own if process.is_stopped()]
+        events = {one.name: one.waiting for one in waiting if one.waiting is not None}
+        line, to_blame = who_waits(events, self._plan, stopped)
         # While the recorder stands still, everybody waits for it.
         recorder = processes[RECORDER]
         if recorder.is_there and not processes.is_present(recorder):

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 
 from agents.cycle import stage_place
 from agents.plan import RunPlan
 from agents.process.events import Waiting
 from bus_schemas.errors import listed
-from launch_scripts.process_record import Process
 
 
 def who_waits(
@@ -35,11 +34,3 @@ def who_waits(
         what, waits = "what they wait for was sent to", []
     line = f"stalled in cycle {first}: {what} {listed(to_blame)}"
     return "; ".join(filter(None, (line, listed(waits)))), to_blame
-
-
-def stall(processes: Iterable[Process], plan: RunPlan) -> tuple[str, list[str]]:
-    """Say in one line why the run of some processes stalls; return it with those to blame."""
-    some = list(processes)
-    waiting = {process.name: process.waiting for process in some if process.waiting is not None}
-    stopped = [process.name for process in some if process.is_stopped()]
-    return who_waits(waiting, plan, stopped)
