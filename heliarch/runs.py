@@ -306,7 +306,7 @@ def _run(
     except OSError as error:  # A full disk: the figures are in the recording.
         failures.append(str(error))
     for failure in failures:
-        warnings.warn(failure, InputWarning, stacklevel=3)
+        warnings.warn(failure, InputWarning, stacklevel=4)
     return open_run(folder.path)
 
 

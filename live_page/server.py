@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
@@ -135,7 +135,7 @@ class PageServer:
             own = self._address.socket.getsockname()[0]
             hosts = ["127.0.0.1", "localhost", "[::1]", own, f"[{own}]"]
             middleware.insert(0, Middleware(TrustedHostMiddleware, allowed_hosts=hosts))
-        errors: Any = {ValueError: _bad_input}
+        errors: Any = {InputError: _bad_input}
         return Starlette(routes=routes, middleware=middleware, exception_handlers=errors)
 
     @property
@@ -280,10 +280,11 @@ async def _bad_input(request: Request, error: Exception) -> Response:
 
 
 def _number(request: Request, name: str, default: float) -> float:
-    value = float(request.query_params.get(name, default))
-    if not isfinite(value):
-        raise InputError(f"{name}: expected a number, got {value}")
-    return value
+    text = request.query_params.get(name, default)
+    with suppress(ValueError):
+        if isfinite(value := float(text)):
+            return value
+    raise InputError(f"{name}: expected a number, got {text}")
 
 
 def _cycles(request: Request) -> range:

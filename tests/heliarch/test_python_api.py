@@ -22,6 +22,7 @@ from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 
 import heliarch
 from bus_schemas.errors import InputError, InputWarning
+from launch_scripts.run_folder import RunFolder
 from scenarios.run_options import RunOptions
 from scenarios.scenario import load_scenario
 from scenarios.settings import with_settings
@@ -227,6 +228,18 @@ def test_a_recording_that_was_cut_is_named_as_it_is_opened(tmp_path: Path) -> No
     cut(tmp_path / "run.mcap")
     with pytest.warns(InputWarning, match="a part of the run is missing"):
         heliarch.open_run(tmp_path)
+
+
+def test_a_warning_points_at_the_users_line(
+    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(folder: RunFolder, summary: bytes) -> None:
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(RunFolder, "write_summary", refuse)
+    with pytest.warns(InputWarning, match="No space") as found:
+        heliarch.simulate(plant, duration="3", out=tmp_path / "run")
+    assert [one.filename for one in found if one.category is InputWarning] == [__file__]
 
 
 def test_a_run_shows_its_figures_and_the_plants_powers(run: heliarch.Run) -> None:

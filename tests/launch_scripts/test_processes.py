@@ -318,6 +318,16 @@ def test_each_restart_waits_longer_until_the_process_is_given_up(watched: Make) 
         run.dies(PLANT)
 
 
+def test_restarts_of_long_ago_do_not_count(watched: Make) -> None:
+    run = watched(restart=RestartPolicy(most=2, within_s=60.0))
+    for number in range(1, 5):
+        run.dies(NODE)
+        assert run.started == [NODE] * number
+        run.joins(NODE)
+        run.pass_by(61.0)
+    assert run.processes.given_up == {}
+
+
 @pytest.mark.parametrize(
     ("when", "status", "goes_on"),
     [(None, -9, True), ("never", -9, False), (None, 1, True)],
@@ -383,3 +393,15 @@ def test_a_run_fails_without_its_plant_and_in_lockstep_after_the_loss_of_any_dev
 def test_a_process_that_is_always_started_again_waits_no_longer_than_the_policy_counts() -> None:
     policy = RestartPolicy(when="always", within_s=60.0)
     assert policy.wait_s([0.0] * 2000, 1.0) == 60.0
+
+
+def test_a_fork_server_that_stands_still_is_named_once(watched: Make) -> None:
+    run = watched()
+    run.pass_by(1.0)
+    for _ in range(90):
+        run.now_s += 0.25
+        run.cycle += 1
+        for process in run.processes.own:
+            run.table.beat(process.name, run.cycle)
+        run.processes.look(0.0)
+    assert [line for line in run.said if "fork server" in line] == run.said[:1]

@@ -38,6 +38,15 @@ def test_a_controller_that_may_not_be_started_again_is_given_up(
     assert len(trace.power_kw) == CYCLES
 
 
+def test_of_two_freezes_each_has_its_own_time_after_which_the_process_is_replaced(
+    oahu: Preparation,
+) -> None:
+    for until, restarts in ((40, {}), (49, {"c2": 1})):
+        faults = ["freeze=c2,at=30s..33s", f"freeze=c2,at=36s..{until}s"]
+        run, _ = run_with(oahu, faults, restart=RestartPolicy(frozen_s=8.0))
+        assert run.restarts == restarts
+
+
 def test_inverters_that_a_scenario_sets_otherwise_must_exist(oahu: Preparation) -> None:
     slow = with_settings(oahu.scenario, [("plant.settings", [{"nodes": "c1/*", "delay_s": 20}])])
     found = prepare(slow, RunOptions(duration="5"), "slow").plan

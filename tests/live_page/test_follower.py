@@ -184,3 +184,13 @@ def test_a_long_run_is_thinned_out_without_losing_a_dip(tmp_path: Path) -> None:
     powers = followed(path).powers(range(900), 60)
     assert len(powers["cycle"]) < 200
     assert min(powers["delivered"]) == 3.0
+
+
+def test_a_setpoint_of_a_slow_turn_is_shown_until_the_next_one(tmp_path: Path) -> None:
+    plan = with_changes(PLAN, period_cycles=(60, 1))
+    slow = {"c1/setpoint", "c2/setpoint"}
+    run = [one for one in whole_run(70) if one[1].cycle % 60 == 0 or str(one[0]) not in slow]
+    write_run(tmp_path / "run.mcap", run, plan=plan, messages_per_chunk=35)
+    state = PlantState(followed(tmp_path / "run.mcap"))
+    shown = [state.frame(cycle)["nodes"]["setpoint"][number("c1")] for cycle in range(70)]
+    assert shown == [120.0] * 70

@@ -166,3 +166,15 @@ def test_runs_that_cannot_be_compared_are_a_page_with_a_way_back(tmp_path: Path)
     assert (refused.value.code, refused.value.headers.get_content_type()) == (422, "text/html")
     assert "expected the beginning of" in text
     assert {"./", "run/one/", "run/later/"} <= set(re.findall('href="([^"#]+)"', text))
+
+
+def test_a_bad_number_is_the_browsers_fault_and_an_error_of_ours_is_not(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*given: object) -> None:
+        raise ValueError("a bug")
+
+    monkeypatch.setattr("live_page.sky.clouds", fail)
+    with served(run) as page:
+        assert page.status("clouds?cycle=soon") == page.status("clouds?cycle=nan") == 404
+        assert page.status("clouds?cycle=1") == 500

@@ -20,6 +20,7 @@ from verifying import assert_equal_as_far_as_recorded
 
 from agents.plan_file import load_plan
 from agents.process import events
+from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp, parse_missing
 from bus_schemas.signals import COMMAND, GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
@@ -307,3 +308,9 @@ def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path
             while not processes[RECORDER].is_there:
                 processes.look()
     assert_none_left(folder.path)
+
+
+def test_a_folder_in_which_another_run_has_begun_meanwhile_is_refused(tmp_path: Path) -> None:
+    RunFolder(tmp_path / "run").make()
+    with pytest.raises(InputError, match="another run"):
+        RunFolder(tmp_path / "run").make()

@@ -13,6 +13,7 @@ from agents.control.correction import (
     corrected,
     corrected_kw,
     nothing_metered,
+    shown_turns,
     with_reading,
 )
 from agents.control.grid import GridLaw, gross_kw, net_kw
@@ -57,6 +58,15 @@ def test_an_error_that_lasts_is_corrected_while_the_dispatch_drifts(drift_kw: fl
         known = corrected(with_reading(known, metered_kw), wanted_kw, inf, 0.0, law)
         metered_kw = corrected_kw(known, law, GridLaw()) - 20.0
     assert metered_kw == pytest.approx(wanted_kw, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "turn_s", "turns"), [(0.0, 1.0, 2), (2.5, 1.0, 5), (3 * 0.1, 0.1, 5), (1.0, 6.0, 3)]
+)
+def test_a_part_of_a_turn_counts_as_one_in_which_the_meter_may_show_an_older_aim(
+    delay_s: float, turn_s: float, turns: int
+) -> None:
+    assert shown_turns(delay_s, turn_s) == turns
 
 
 def test_losses_that_are_known_need_no_correction() -> None:

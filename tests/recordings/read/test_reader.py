@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from memory_use import traced_memory
 from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, cut, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
@@ -220,3 +221,14 @@ def test_a_device_that_states_later_cycles_moves_no_end(tmp_path: Path, ahead: i
         overview = read_overview(run)
     assert (overview.last_cycle, overview.complete_cycles) == (59, 60)
     assert {span.agent for span in overview.states} <= {"c2/c"}
+
+
+@pytest.mark.parametrize("table", ["impp", "production_inverters"])
+def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table: str) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(1000))
+    with RunReader(tmp_path) as run:
+        run.frames(table, end=10)  # What is imported and kept once.
+        with traced_memory() as memory:
+            frame = run.frames(table)[table]
+            _, peak = memory()
+    assert peak < 2.0 * frame.memory_usage(index=True).sum() + 300_000

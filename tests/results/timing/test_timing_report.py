@@ -161,3 +161,18 @@ def test_the_header_tells_what_the_time_service_says(
     assert said in text_of(reported(tmp_path / "run")).splitlines()
     fake.write_text("#!/bin/sh\necho '506 Cannot talk to daemon'\nexit 1\n")
     assert "clock of this host" not in text_of(reported(tmp_path / "silent"))
+
+
+@pytest.mark.parametrize(
+    ("cycles", "slow", "passed"), [(60, 1, True), (60, 2, False), (200, 2, True), (200, 3, False)]
+)
+def test_one_slow_cycle_of_fewer_than_a_hundred_does_not_decide(
+    cycles: int, slow: int, passed: bool, tmp_path: Path
+) -> None:
+    late = {**TIMES_MS, "production": (60.0, 60.5)}
+    run = (cycle(k, late if k < slow else TIMES_MS) for k in range(cycles))
+    report = reported(tmp_path, *run)
+    loop = "loop all commands"
+    assert (f"{loop} p99" not in failed(report)) == passed
+    line = f"not kept: {loop} p99 60.000 ms (at most 50.000 ms)"
+    assert (line in text_of(report)) == (not passed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import date
 from typing import Any
 
 from results.figures import FIGURES, energy_figures
@@ -124,3 +125,10 @@ def test_a_sweep_of_settings_is_listed_and_not_summarised() -> None:
 def test_a_scheme_without_one_of_both_figures_is_not_drawn_at_zero() -> None:
     undefined = {**result("paper", "limit", 1.0, 0.2), "over-delivered": None}
     assert len(frontier([*SCHEMES, undefined]).figure.data[1].x) == 1
+
+
+def test_days_in_a_row_are_no_independent_draws_and_have_no_interval() -> None:
+    cases = [case({"day": date(2010, 4, day)}, {"paper": float(day)}) for day in (1, 2)]
+    _, summary = cases_tables(["control-caused"], cases)
+    assert "± 95 %" not in [column.title for column in summary.columns]
+    assert summary.texts()[0][2] == "1.500"
