@@ -16,7 +16,6 @@ import pytest
 from msgspec.structs import replace
 
 from agents.plan import changed
-from agents.settings import RestartPolicy
 
 Function: TypeAlias = Callable[..., Any]
 
@@ -247,5 +246,3 @@ BUGS: Final[dict[str, Bug]] = {
     "inputs are held a cycle longer": Bug("agents.inputs:Inputs.__init__", _holds_longer(1)),
     "who thaws goes through each cycle": Bug("agents.loop:Loop.catch_up", _always(False)),
 }
-
-assert RestartPolicy().most > 2
