@@ -260,8 +260,11 @@ class Supervision(msgspec.Struct, frozen=True, kw_only=True):
     """How the launcher keeps the processes of a run going.
 
     groups: Agents that share their process with all agents below them, but those of other groups.
+    file_cycles, file_bytes: When the recording goes on in a next file; 0: never.
     """
 
     restart: RestartPolicy = RestartPolicy()
     groups: tuple[str, ...] = ()
+    file_cycles: int = 0
+    file_bytes: int = 0
     priority: int = 0

@@ -61,8 +61,8 @@ class RunFollower:
         """Read on for a while; return whether all that is in the file has been read."""
         outline = self.run.outline
         if not outline.closed and self._next_chunk() is None:
-            self.run.join()
             walk_on(outline, self.run.files[-1])
+            self.run.join()
         until = time.monotonic() + budget_s
         while (chunk := self._next_chunk()) is not None:
             self._read(chunk)

@@ -308,6 +308,7 @@ def overview_of(run: RunReader) -> Overview:
     document = document_in(run.path.parent, run.plan.run_id)
     if document is not None and document.recording is not None:
         known_ns = run.path.with_name(SUMMARY_NAME).stat().st_mtime_ns
-        if known_ns >= max(os.fstat(file.fileno()).st_mtime_ns for file in run.files):
+        is_newest = known_ns >= max(os.fstat(file.fileno()).st_mtime_ns for file in run.files)
+        if is_newest and document.recording.files == len(run.files):  # None was deleted since.
             return replace(document.recording, path=str(run.path))
     return read_overview(run)

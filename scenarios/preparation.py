@@ -49,7 +49,7 @@ from scenarios.fault_rules import fault_rules
 from scenarios.fleet import SEEDS_APART, Member, members, named_plant
 from scenarios.power_sources import power_source
 from scenarios.real_time import cycle_wall_ns, parse_pace, process_groups
-from scenarios.run_options import RunOptions
+from scenarios.run_options import RunOptions, parse_split
 from scenarios.scenario import CloudIrradiance, Scenario, ScenarioFile, local_start
 from scenarios.times import LONGEST_S, Cycle, When, on_day, parse_duration_s, parse_moment
 from sim_plant.commitment import commitment_kw, is_hindsight
@@ -352,6 +352,7 @@ def _plan(
     )
     where = f"{scenario_file.path}: devices"
     devices = real_devices(scenario.devices, where, options.devices or (), day.tree)
+    file_s, file_bytes = parse_split(options.split)
     plan = RunPlan(
         run_id=run_id,
         plant=scenario.name,
@@ -375,6 +376,8 @@ def _plan(
             restart=scenario.restart,
             priority=options.priority or 0,
             groups=groups,
+            file_cycles=max(round(file_s / scenario.time.cycle_s), 1) if file_s else 0,
+            file_bytes=file_bytes,
         ),
         grid=scenario.grid,
         orders=scenario.orders,

@@ -18,7 +18,13 @@ from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, not_one_of
 from scenarios.elsewhere import read_address, split_devices
 from scenarios.real_time import parse_pace
-from scenarios.times import SHORTEST_CYCLE_S, When, parse_duration_s, parse_moment
+from scenarios.times import (
+    SHORTEST_CYCLE_S,
+    When,
+    parse_duration_s,
+    parse_moment,
+    read_seconds,
+)
 from sunspec.addresses import parse_address
 
 LARGEST_SEED = 2**32
@@ -30,6 +36,9 @@ FAULTS = Group.create_ordered("Faults")
 DEVICES = Group.create_ordered("Your own devices")
 HOSTS = Group.create_ordered("Other hosts and security")
 MACHINE = Group.create_ordered("Processors")
+RECORDING = Group.create_ordered("Recording")
+
+_SIZES = {"kB": 1e3, "MB": 1e6, "GB": 1e9}
 
 
 def _whole_number(kind: object, tokens: Sequence[Token]) -> int:
@@ -163,6 +172,8 @@ class ProcessOptions:
     priority
         In real time: run plant and controllers under SCHED_FIFO with this priority, 1 to 99, if
         the machine permits it.
+    split
+        Go on in a next file after this much time of the run, or at this size: 1h, 1GB.
     """
 
     external: Annotated[_Texts, Parameter(metavar="AGENT", group=DEVICES)] = None
@@ -177,6 +188,7 @@ class ProcessOptions:
     address: Annotated[str, Parameter(metavar="ADDRESS", group=HOSTS)] = "127.0.0.1"
     on: Annotated[_Texts, Parameter(metavar="ADDRESS=AGENTS", group=HOSTS)] = None
     priority: Annotated[Whole | None, Parameter(group=MACHINE)] = None
+    split: Annotated[str | None, Parameter(metavar="TIME|SIZE", group=RECORDING)] = None
 
     def __post_init__(self) -> None:
         split_devices(self.devices or ())
@@ -187,6 +199,7 @@ class ProcessOptions:
         for text in self.on or ():
             read_address(text.partition("=")[0], f"--on {text}")
         _check_range("--priority", self.priority, LOWEST_PRIORITY, HIGHEST_PRIORITY)
+        parse_split(self.split)
 
 
 @dataclass(frozen=True)
@@ -208,6 +221,18 @@ class RunOptions(SpanOptions, PlantOptions, ProcessOptions):
         for group in groups:
             fields |= vars(group)
         return cls(**fields)
+
+
+def parse_split(text: str | None) -> tuple[float, int]:
+    """Return when a file of a recording is full: after seconds, at bytes; 0: never."""
+    if text is None:
+        return 0.0, 0
+    number, unit = text[:-2], text[-2:]
+    if unit in _SIZES and number.isascii() and number.isdigit() and int(number):
+        return 0.0, round(int(number) * _SIZES[unit])
+    if seconds := read_seconds(text):
+        return seconds, 0
+    raise InputError.of("--split", f"expected a time or a size such as 1h or 1GB, got {text[:40]}")
 
 
 def check_names(where: str, names: str | Iterable[str] | None, known: Collection[str]) -> None:

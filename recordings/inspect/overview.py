@@ -70,6 +70,7 @@ class Overview(msgspec.Struct, frozen=True, kw_only=True):
     lost: dict[str, int] = {}
     misses: tuple[Misses, ...] = ()
     states: tuple[AgentSpan, ...] = ()
+    files: int = 1
     stop_cycle: int | None
 
     @property
@@ -137,6 +138,7 @@ def read_through(
         run_id=plan.run_id,
         metadata=run.metadata,
         whole=run.whole,
+        files=len(run.files),
         last_cycle=cycles - 1,
         complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles(plan.timing.cycles),
         planned_cycles=plan.timing.cycles,

@@ -254,7 +254,7 @@ def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
     """Yield for each publisher cycles that damaged chunks or the time between files may hide."""
     for chunk in run.followed_chunks():
         run.messages_of(chunk, ())  # So that all damaged chunks are known.
-    if len(run.files) == 1 and not run.damage:
+    if not run.outline.breaks and not run.damage:
         return
     regular = {number: port for number, port in run.channels.items() if due_step(run.plan, port)}
     newest: dict[Port[Message], int] = {}
@@ -262,8 +262,9 @@ def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
     spans: dict[tuple[str, int], range] = {}
     part = file = 0  # The part of the recording between two losses.
     for chunk in run.followed_chunks():
-        if chunk.file != file or chunk in run.damage:
-            file, part = chunk.file, part + 1
+        if (chunk.file != file and chunk.file in run.outline.breaks) or chunk in run.damage:
+            part += 1
+        file = chunk.file
         for record in run.records_of(chunk, regular):
             port, cycle = record.port, record.cycle
             if seen_in.get(port, 0) < part:

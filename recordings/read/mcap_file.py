@@ -32,6 +32,10 @@ from mcap.stream_reader import StreamReader
 
 from bus_schemas.errors import InputError
 
+GOES_ON: Final = "goes_on"
+"""Name of the metadata of a file that was full, so that the recording goes on in the next one, and
+of an entry in the `run` of that one."""
+
 MAGIC: Final = b"\x89MCAP0\r\n"
 
 MESSAGE_HEAD: Final = Struct("<BQHIQQ")
@@ -96,16 +100,18 @@ class Outline:
     """What a file consists of, in its order; metadata by name, topics of channels by their number.
 
     It is `closed` if its writer came to the end of the messages, and `whole` if it ends as it
-    should. Otherwise it was cut, is damaged at `readable_end`, or is still being written. The
-    checksums of `damaged_attachments` are wrong.
+    should. A full one `ended` too, and `goes_on` in a next file. Others were cut, are damaged at
+    `readable_end`, or still being written. The checksums of `damaged_attachments` are wrong.
 
     `library` names the program that wrote the file.
 
     A recording may go on in further files. Then `closed` and `readable_end` are those of the last
-    one, of the number `file`, and it is `whole` if all of them are.
+    one, of the number `file`, and it is `whole` if all of them are. Before a file of `breaks`
+    messages may be lost.
     """
 
-    closed: bool = False
+    ended: bool = False
+    goes_on: bool = False
     whole: bool = False
     readable_end: int = len(MAGIC)
     attachments: list[records.Attachment] = field(default_factory=list)
@@ -114,7 +120,12 @@ class Outline:
     chunks: list[Chunk] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
     file: int = 0
+    breaks: set[int] = field(default_factory=set)
     library: str = ""
+
+    @property
+    def closed(self) -> bool:
+        return self.ended and not self.goes_on
 
     @property
     def is_own(self) -> bool:
@@ -125,11 +136,14 @@ class Outline:
     def cut_early(self) -> bool:
         return not self.closed and not self.chunks
 
-    def append(self, other: Outline) -> None:
+    def append(self, other: Outline, *, is_next: bool) -> None:
+        """Add a file; `is_next`: none between it and the last one was deleted."""
         self.file += 1
+        if not (is_next and self.goes_on and GOES_ON in other.metadata.get("run", {})):
+            self.breaks.add(self.file)
         self.chunks += [chunk._replace(file=self.file) for chunk in other.chunks]
         self.channels = self.channels or other.channels
-        self.readable_end, self.closed = other.readable_end, other.closed
+        self.readable_end, self.ended, self.goes_on = other.readable_end, other.ended, other.goes_on
         self.whole &= other.whole
 
 
@@ -153,7 +167,7 @@ def walk_on(outline: Outline, file: BinaryIO, *, chunks: bool = True) -> None:
     A second call goes on from there, since a file that is being written grows.
     """
     size = file.seek(0, SEEK_END)
-    while not outline.closed:
+    while not outline.ended:
         offset = outline.readable_end
         file.seek(offset)
         head = file.read(_RECORD_HEAD.size)
@@ -178,7 +192,7 @@ def walk_on(outline: Outline, file: BinaryIO, *, chunks: bool = True) -> None:
             _take(outline, file, opcode, length)
         outline.readable_end = end
         if opcode == Opcode.DATA_END:
-            outline.closed = True
+            outline.ended = True
             outline.whole = _ends_well(file, end, size)
 
 
@@ -246,6 +260,8 @@ def _take(outline: Outline, file: BinaryIO, opcode: int, length: int) -> None:
         match next(_records_in(content), None):
             case records.Header() as header:
                 outline.library = header.library
+            case records.Metadata(name=name) if name == GOES_ON:
+                outline.goes_on = True
             case records.Metadata() as entry:
                 outline.metadata[entry.name] = entry.metadata
             case records.Attachment() as attachment:

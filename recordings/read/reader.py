@@ -30,11 +30,12 @@ from recordings.read.mcap_file import (
     read_outline,
     take_channels,
     unpack_chunk,
+    walk_on,
 )
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import (
     RECORDING_NAME,
-    further_file,
+    further_files,
     read_origin,
     recorded_ports,
 )
@@ -112,6 +113,7 @@ class RunReader:
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
+        self._newest_file = 1
         self.damage: set[Chunk] = set()
         self.wrong: dict[Port[Message], str] = {}
         self.follow: Callable[[float], None] = lambda share: None
@@ -178,8 +180,11 @@ class RunReader:
             raise InputError(f"{self.path}: expected a scenario in TOML, got: {error}") from None
 
     def join(self) -> None:
-        """Add the files of recorders that were started again."""
-        while (path := further_file(self.path, len(self.files) + 1)).exists():
+        """Add the further files: of later recorders, or after one that is full."""
+        for number, path in further_files(self.path):
+            if number <= self._newest_file:
+                continue
+            walk_on(self.outline, self.files[-1])  # Nobody writes there any more.
             file = path.open("rb", buffering=0)
             outline = read_outline(file)
             run_id = outline.metadata.get("run", {}).get("run_id")
@@ -188,8 +193,9 @@ class RunReader:
             if not is_next:
                 file.close()
                 break
-            self.outline.append(outline)
+            self.outline.append(outline, is_next=number == self._newest_file + 1)
             self.files.append(file)
+            self._newest_file = number
 
     def messages(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from pathlib import Path
 from typing import Final
 
@@ -25,8 +26,23 @@ RECOVERY_METADATA: Final = "recovery"
 
 
 def further_file(recording: Path, number: int) -> Path:
-    """Return the file of a later recorder of a run, from number 2 on."""
+    """Return the file in which a recording goes on, from number 2 on."""
     return recording.with_stem(f"{recording.stem}-{number}")
+
+
+def further_files(recording: Path) -> list[tuple[int, Path]]:
+    """Return the further files that are there, with their numbers, in order."""
+    found = recording.parent.glob(f"{glob.escape(recording.stem)}-*{recording.suffix}")
+    texts = (path.stem.removeprefix(f"{recording.stem}-") for path in found)
+    numbers = sorted(int(text) for text in texts if text.isascii() and text.isdigit())
+    return [(number, further_file(recording, number)) for number in numbers]
+
+
+def next_path(recording: Path) -> Path:
+    """Return the file to write next. Earlier ones may have been deleted."""
+    if further := further_files(recording):
+        return further_file(recording, further[-1][0] + 1)
+    return further_file(recording, 2) if recording.exists() else recording
 
 
 SCHEMA_VERSION: Final = "4"

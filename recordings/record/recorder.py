@@ -24,7 +24,7 @@ from bus_schemas.signals import READY
 from bus_schemas.tree import RECORDER, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
 from recordings.read.mcap_file import read_outline
-from recordings.read.run_file import RECORDING_NAME, further_file
+from recordings.read.run_file import RECORDING_NAME, next_path
 from recordings.record.listener import RunListener
 from recordings.record.phases import Closing
 from recordings.record.writer import ClockAnchor, RunWriter
@@ -71,10 +71,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
 
 def next_file(first: Path) -> tuple[Path, ClockAnchor | None]:
     """Return the file to write, and the clock anchor of the run's first file, which all share."""
-    path, number = first, 1
-    while path.exists():
-        number += 1
-        path = further_file(first, number)
+    path = next_path(first)
     if path == first:
         return path, None
     with first.open("rb") as file:

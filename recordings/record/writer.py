@@ -27,7 +27,8 @@ from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Head, Message
 from bus_schemas.signals import SIGNALS, Port, Signal
-from recordings.read.run_file import SCHEMA_VERSION, recorded_ports
+from recordings.read.mcap_file import GOES_ON
+from recordings.read.run_file import RECORDING_NAME, SCHEMA_VERSION, next_path, recorded_ports
 from recordings.record.chunk_writer import ChunkWriter
 from recordings.record.time_service import clock_statement
 
@@ -83,16 +84,22 @@ class RunWriter:
         anchor: ClockAnchor | None = None,
         on_end: Callable[[str], None] | None = None,
     ) -> None:
-        self.path = path
         self.heard = 0
         self.ended_early = ""
         self._on_end = on_end
         self._cycle = 0
         self._anchor = anchor or ClockAnchor.now()
         self._to_wall_ns = self._anchor.wall(0)
+        self._origin = plan, scenario, driver
+        self._in_earlier_files: Counter[int] = Counter()
+        self._begin_file(path)
+
+    def _begin_file(self, path: Path, **run: str) -> None:
+        self.path, self._first_cycle = path, self._cycle
         self._file = path.open("xb")
         self._writer = ChunkWriter(self._file, "heliarch", f"heliarch {version('heliarch')}")
-        self._write_origin(plan, scenario, driver)
+        plan, scenario, driver = self._origin
+        self._write_origin(plan, scenario, driver, run)
         self._channels = declare(self._writer, plan, recorded_ports(plan))
         self._unless_ended(self._file.flush)  # A recorder that is killed at once leaves its plan.
 
@@ -114,18 +121,35 @@ class RunWriter:
 
     @property
     def number_recorded(self) -> int:
-        return self._writer.recorded.total()
+        return self._in_earlier_files.total() + self._writer.recorded.total()
 
     @property
     def recorded(self) -> Counter[str]:
         counts: Counter[str] = Counter()
         for port, channel in self._channels.items():
-            counts[port.signal.name] += self._writer.recorded[channel]
+            counts[port.signal.name] += (
+                self._in_earlier_files[channel] + self._writer.recorded[channel]
+            )
         return +counts
 
     def flush(self) -> None:
         """Hand all messages to the operating system, so that a crash does not lose them."""
         self._unless_ended(self._writer.flush)
+        if not self.ended_early and self._is_full():
+            self._unless_ended(self._go_on_in_next_file)
+
+    def _is_full(self) -> bool:
+        split = self._origin[0].supervision
+        by_time = split.file_cycles and self._cycle >= self._first_cycle + split.file_cycles
+        return bool(by_time or (split.file_bytes and self._file.tell() >= split.file_bytes))
+
+    def _go_on_in_next_file(self) -> None:
+        self._writer.add_metadata(GOES_ON, {})
+        self._writer.finish()
+        self._file.close()
+        self._in_earlier_files.update(self._writer.recorded)
+        first = self.path.with_name(RECORDING_NAME)
+        self._begin_file(next_path(first), **{GOES_ON: "true"})
 
     def close(self) -> None:
         self._unless_ended(self._writer.finish)
@@ -150,7 +174,9 @@ class RunWriter:
         self.ended_early = f"the recording ended in cycle {self._cycle:,}: {self.path}: {why}"
         self._on_end(self.ended_early)
 
-    def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
+    def _write_origin(
+        self, plan: RunPlan, scenario: str, driver: str, further: dict[str, str]
+    ) -> None:
         anchor, add = self._anchor, self._writer.add_attachment
         times_ns = anchor.wall_ns, anchor.wall_ns
         add(*times_ns, "scenario.toml", "application/toml", scenario.encode())
@@ -160,6 +186,7 @@ class RunWriter:
             "plant": plan.plant,
             "driver": driver,
             "schema_version": SCHEMA_VERSION,
+            **further,
         }
         if driver == "launch":  # The timing of a run depends on the host.
             run |= {"host": platform.node(), "kernel": platform.release()}

@@ -1,0 +1,98 @@
+"""A recording in several files, since each was full after some cycles or at some size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from recorded_runs import cloudy_profile, plan_of, published, record
+from recordings_by_hand import write_messages
+
+from agents.plan import changed
+from bus_schemas.bus import Delivery
+from bus_schemas.errors import InputError
+from bus_schemas.signals import PRODUCTION
+from bus_schemas.tree import RECORDER
+from live_page.follower import RunFollower
+from recordings.inspect.overview import read_through
+from recordings.read.reader import RunReader
+from recordings.read.run_file import next_path
+from recordings.verify.verification import verify
+from scenarios.run_options import ProcessOptions
+from sim_plant.profile import PROFILE_NAME
+
+CYCLES = 40
+WHOLE = plan_of(cycles=CYCLES)
+PLAN = changed(WHOLE, supervision={"file_cycles": 10})
+PROFILE = cloudy_profile(WHOLE)
+SAID = published(WHOLE, PROFILE)
+
+
+def written(folder: Path, said: list[Delivery] = SAID) -> Path:
+    """Write a run, flushed after every cycle or so. Return its first file."""
+    path = folder / "run.mcap"
+    each_cycle = len(SAID) // CYCLES
+    write_messages(path, said, plan=PLAN, scenario='name = "oahu"\n', messages_per_chunk=each_cycle)
+    return path
+
+
+def test_all_files_of_a_recording_are_one_run(tmp_path: Path) -> None:
+    written(tmp_path)
+    PROFILE.save(tmp_path / PROFILE_NAME)
+    record(tmp_path / "whole", WHOLE, SAID, PROFILE)
+    with RunReader(tmp_path) as split, RunReader(tmp_path / "whole") as whole:
+        assert len(split.files) > 3
+        assert [*split.messages()] == [*whole.messages()]
+        found, _ = read_through(split)
+        expected, _ = read_through(whole)
+    assert (found.whole, found.complete_cycles, found.lost, found.states) == (True, CYCLES, {}, ())
+    assert found.signals == expected.signals
+    checked = verify(tmp_path)
+    assert checked.equal
+    assert checked.total("compared") == verify(tmp_path / "whole").total("compared")
+
+
+def test_a_file_that_was_deleted_is_a_gap_and_no_number_comes_again(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    following = next_path(path)
+    with RunReader(tmp_path / "run-3.mcap") as part:
+        gone = [message.cycle for _, message in part.messages(PRODUCTION)]
+    part.path.unlink()
+    assert next_path(path) == following
+    with RunReader(tmp_path) as run:
+        found, _ = read_through(run)
+    (gap,) = (one for one in found.states if one.agent == RECORDER)
+    assert (
+        {*gone[1:-1]} <= {*range(gap.first_cycle, gap.end)} <= {*range(gone[0] - 1, gone[-1] + 2)}
+    )
+    assert found.complete_cycles == CYCLES - len(gone)
+    assert not verify(tmp_path).differs
+
+
+def test_a_run_is_followed_from_file_to_file(tmp_path: Path) -> None:
+    half = len(SAID) // 2
+    path = tmp_path / "run.mcap"
+    each_cycle = len(SAID) // CYCLES
+    write_messages(path, SAID[:half], plan=PLAN, messages_per_chunk=each_cycle, close=False)
+    follower = RunFollower(path)
+    while not follower.advance(1.0):
+        pass
+    assert len(follower.run.files) == 2
+    assert follower.state == "running"
+    assert follower.cycles in {CYCLES // 2 - 1, CYCLES // 2}
+
+
+def test_a_file_is_full_at_a_size(tmp_path: Path) -> None:
+    plan = changed(WHOLE, supervision={"file_bytes": 60_000})
+    each_cycle = len(SAID) // CYCLES
+    write_messages(tmp_path / "run.mcap", SAID, plan=plan, messages_per_chunk=each_cycle)
+    sizes = [path.stat().st_size for path in tmp_path.glob("*.mcap")]
+    assert len(sizes) > 1
+    with RunReader(tmp_path) as run:
+        assert len([*run.messages()]) == sum(port.signal.logged for port, _ in SAID)
+
+
+@pytest.mark.parametrize("text", ["", "0", "0GB", "1.5.GB", "GB", "-1h", "1TB", "c0x"])
+def test_what_is_neither_a_time_nor_a_size_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--split"):
+        ProcessOptions(split=text)
