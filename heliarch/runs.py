@@ -37,7 +37,7 @@ from scenarios.run_options import RunOptions, TimeOptions, check_names
 from scenarios.scenario import ScenarioFile, load_scenario
 from scenarios.settings import Setting, plain, with_settings
 from scenarios.times import When
-from studies.arrays.schemes import SCHEMES
+from studies.arrays.schemes import SCHEMES, schemes_for
 from studies.compare.cases import cases
 from studies.compare.study import run_case
 from studies.timing import measured_run, parse_rates, prepare_at
@@ -197,7 +197,7 @@ def export(
 def compare(
     scenario: str | ScenarioFile = "oahu-day",
     *,
-    schemes: str | Iterable[str] = tuple(SCHEMES),
+    schemes: str | Iterable[str] | None = None,
     actuators: Actuator | Iterable[Actuator] = (),
     faults: str | Iterable[str] = (),
     days: date | Iterable[date] = (),
@@ -215,7 +215,7 @@ def compare(
     scenario, data
         As for `simulate`.
     schemes
-        Control schemes; see `heliarch compare --help`.
+        Control schemes, see `heliarch compare --help`. Default: all; of a fleet, those for plants.
     actuators
         Each scheme is run with all of these; by default with that of the scenario.
     faults
@@ -241,14 +241,16 @@ def compare(
         `settings` by name, `fault`, `day`, `seed`), scheme, actuator, each figure of merit, and
         remarks: what must be known about the data, such as hindsight.
     """
-    names, acting = _several(schemes), _several(actuators)
+    file = _loaded(scenario, data)
+    names = schemes_for(file.scenario) if schemes is None else _several(schemes)
+    acting = _several(actuators)
     check_names("schemes", names, tuple(SCHEMES))
     check_names("actuators", acting, get_args(Actuator))
     check_names("options", span, [field.name for field in fields(TimeOptions)])
     if workers < 1:
         raise InputError.of("workers", f"expected 1 or more, got {workers}")
     listed = cases(
-        _loaded(scenario, data),
+        file,
         RunOptions.of(TimeOptions(**span)),
         [_setting(field, value) for field, value in (settings or {}).items()],
         _several(faults),

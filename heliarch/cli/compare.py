@@ -90,17 +90,19 @@ def compare(
     from results.figures import FIGURES
     from scenarios.scenario import load_scenario
     from scenarios.settings import parse_setting
-    from studies.arrays.schemes import SCHEMES
+    from studies.arrays.schemes import SCHEMES, schemes_for
     from studies.compare import results
     from studies.compare.cases import cases, parse_days, parse_seeds
     from studies.compare.study import run_case
 
     shown = _names("--show", show, FIGURES)
-    names = tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES)
+    file = load_scenario(scenario, files.data)
+    known = schemes_for(file.scenario)
+    names = known if schemes is None else _names("--schemes", schemes, SCHEMES)
     actuators = cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
     chosen = [parse_setting(text) for text in settings or ()]
     found = cases(
-        load_scenario(scenario, files.data),
+        file,
         RunOptions.of(span),
         chosen,
         faults or (),

@@ -87,13 +87,19 @@ def _write(path: Path, lines: Iterable[str]) -> None:
 
 
 def _analog(series: RunSeries) -> list[tuple[str, str, _Values]]:
-    """Return name, unit and values of the plant's channels, and of the power of each cluster."""
+    """Return name, unit and values of the channels: of all, each cluster, meter and storage."""
     found = [(name, unit, np.asarray(getattr(series, field))) for name, field, unit in _ANALOG]
     nodes = series.inverters
     clusters = nodes if series.noun == "cluster" else tuple(map(parent_of, nodes))
     for cluster in dict.fromkeys(clusters):
         own = [column for column, one in enumerate(clusters) if one == cluster]
         found.append((f"{cluster or 'plant'} power", "kW", series.power_kw[:, own].sum(axis=1)))
+    for plant in series.meters.plants:
+        fed_in_kw = series.meters.plant_kw(plant, series.power_kw, series.storage_power_kw)
+        found.append((f"{plant} delivered", "kW", fed_in_kw))
+    for column, storage in enumerate(series.plan.tree.storage_paths):
+        found.append((f"{storage} power", "kW", series.storage_power_kw[:, column]))
+        found.append((f"{storage} stored", "kWh", series.storage_energy_kwh[:, column]))
     return found
 
 

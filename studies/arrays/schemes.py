@@ -15,6 +15,7 @@ from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
+from scenarios.scenario import Scenario
 from sim_plant.inverters import Inverters, towards
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
@@ -37,9 +38,16 @@ Groups: TypeAlias = Iterable[NDArray[np.bool_]] | None
 BOUNDS: Final = ("uncontrolled", "physical-limit")
 """Schemes that command nothing: they have no actuator, and say what is possible."""
 
+_OF_ONE_PLANT: Final = ("grouping", "physical-limit")
+
 _SIZES: Final = (1, 2, 3, 4, 6, 8)
 _CHOICES: Final = 12
 """Sizes of the reference groups that are tried, and how many of each."""
+
+
+def schemes_for(scenario: Scenario) -> tuple[str, ...]:
+    """Return all schemes, of a fleet those that know plants."""
+    return tuple(name for name in SCHEMES if not scenario.plants or name not in _OF_ONE_PLANT)
 
 
 def reference_groups(inverters: int, sizes: Sequence[int] = _SIZES) -> Iterator[NDArray[np.bool_]]:
@@ -72,7 +80,7 @@ def run_scheme(
             "expected losses and meter_error_percent alone, since a study over arrays has no "
             "ramp limits and no frequency response; use simulate",
         )
-    if plan.plants and name in {"grouping", "physical-limit"}:
+    if plan.plants and name in _OF_ONE_PLANT:
         raise InputError.of("--schemes", f"expected schemes that know plants, got {name}")
     if name in get_args(Scheme):
         results = [run_loop(plan, profile, cast(Scheme, name), actuator)._asdict()]

@@ -134,6 +134,11 @@ print({example_of("stages")[0]}.columns[0])
     assert python(program).stdout.split() == ["launch", "5", "True", "20", "20", "cycle"]
 
 
+def test_a_fleet_is_compared_under_the_schemes_that_know_plants() -> None:
+    table = heliarch.compare("fleet", duration="10s")
+    assert list(table["scheme"]) == ["uncontrolled", "uniform-cap", "paper", "predictive"]
+
+
 def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(plant: str) -> None:
     table = heliarch.compare(
         heliarch.load_scenario(plant),

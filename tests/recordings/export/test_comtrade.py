@@ -18,6 +18,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import ROOT
+from heliarch import simulate
 from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
 
@@ -112,3 +113,13 @@ def test_what_does_not_go_together_is_refused(
 ) -> None:
     assert named in refusal("export", run, *words)
     assert not (run / "run-comtrade").exists()
+
+
+def test_meters_of_a_fleet_and_its_storages_have_channels(tmp_path: Path) -> None:
+    run = simulate("fleet", duration=10, out=tmp_path / "run")
+    record = exported(tmp_path / "run", "--at", "5", "--window", "10")
+    plants = sum(channel(record, f"{name} delivered")[-1] for name in ("west", "north", "east"))
+    delivered = channel(record, "delivered")
+    assert plants == pytest.approx(delivered[-1], rel=1e-4)
+    stored = run.frame("production")["storage_energy_kwh"]
+    assert channel(record, "east/battery stored")[0] == pytest.approx(stored.iloc[0][0], rel=1e-4)
