@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -35,7 +36,7 @@ _SHORTEST: Final = pd.Timedelta(seconds=SHORTEST_CYCLE_S)
 _LENGTH: Final = pd.Timedelta(hours=1)
 _INVERTER_KW: Final = 500
 _MOST_SHOWN: Final = 10_000
-"""Lines of the data from which their share of a clear sky is worked out."""
+"""Lines of the data from which their zone, and their share of a clear sky, is worked out."""
 
 _CLUSTER: Final = 5
 """About so many inverters have a supervisor."""
@@ -98,10 +99,9 @@ def measured_scenario(
             f"{ghi_csv.name}: line 1: expected a column for stations of {positions_csv.name}, got "
             f"{', '.join(table.value_columns)}"
         )
-    guess = ""
-    if not (table.is_zoned or form.timezone):
-        guess = _guessed_zone(table, stations, positions, form)
-        form = replace(form, timezone=guess)
+    is_guess = not (table.is_zoned or form.timezone)
+    if is_guess:
+        form = replace(form, timezone=_guessed_zone(table, stations, positions, form))
     found = measured_ghi(table, positions, positions_csv.name, stations, LONGEST_S, form)
     text = f"# {origin}\n" if origin else ""
     text += _text(table, found, positions_csv, out, form)
@@ -111,11 +111,11 @@ def measured_scenario(
     prepared = prepare(file, RunOptions(), "init", read=found)
     remarks = [
         f"left out, since only {path.name} has it: {listed(sorted(names - set(stations)))}"
-        for path, names in ((ghi_csv, set(columns)), (positions_csv, set(positions.index)))
+        for path, names in ((ghi_csv, set(columns) - {""}), (positions_csv, set(positions.index)))
         if names - set(stations)
     ]
-    if guess:
-        remarks.append(f"--timezone was not given: the sun's path fits {guess} best")
+    if is_guess:
+        remarks.append(f"--timezone was not given: the sun's path fits {form.timezone} best")
     if not found.ghi_wm2.to_numpy().any():
         remarks.append(f"the GHI in {ghi_csv.name} is 0 throughout: the plant has no power")
     return text, found, [*remarks, *prepared.remarks]
@@ -129,8 +129,10 @@ def _quoted(value: object) -> str:
 def _guessed_zone(
     table: CsvTable, stations: Sequence[str], positions: pd.DataFrame, form: StatedForm
 ) -> str:
+    some = slice(None, None, len(table.fields) // _MOST_SHOWN + 1)
+    fields, stamps = table.fields.iloc[some], table.stamps.iloc[some]
+    table = dataclasses.replace(table, fields=fields, stamps=stamps, notes=[])
     naive = table.times("UTC", form.dates).tz_localize(None)
-    table.notes.clear()
     known = positions.index
     columns = [name for name in table.value_columns if station_of(name, known) in stations]
     ghi_wm2 = table.numbers(columns, empty_is_missing=True, sentinels=True).mean(axis=1)

@@ -159,3 +159,12 @@ def test_stuck_dead_shaded_and_twin_sensors_are_named(tmp_path: Path) -> None:
     shaded = a_day().assign(p3=lambda day: 0.4 * day["p3"])
     assert "p3 has 4" in doubts(tmp_path, shaded)
     assert "p1 and p2 are equal" in doubts(tmp_path, a_day().assign(p2=lambda day: day["p1"]))
+
+
+def test_a_column_without_a_name_is_not_said_to_be_left_out(tmp_path: Path) -> None:
+    written(tmp_path, ["p1", "p2"], "2024-06-15T11:00", 10, "UTC")
+    ghi = tmp_path / "ghi.csv"
+    ghi.write_text(ghi.read_text().replace("\n", ",\n"), encoding="utf-8")
+    files = tmp_path / "positions.csv", ghi
+    _, _, remarks = measured_scenario(*files, tmp_path / "plant.toml", StatedForm())
+    assert not [one for one in remarks if one.startswith("left out")]
