@@ -21,6 +21,8 @@ from verifying import assert_equal_as_far_as_recorded
 
 from agents.plan_file import load_plan
 from bus_schemas.tree import PLANT, RECORDER
+from recordings.inspect.overview import read_through
+from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 
 pytestmark = [pytest.mark.processes, pytest.mark.soak]
@@ -142,3 +144,23 @@ def test_a_thousand_inverters_start_again_and_again(heliarch: Start) -> None:
         assert run.process.wait(timeout=600) == 0
         summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
         assert (summary["cycles"], summary["messages_lost"]) == (6, 0)
+
+
+@pytest.mark.timeout(600)
+def test_kills_amid_large_bundles_are_counted_and_the_rest_is_verified(heliarch: Start) -> None:
+    words = "--duration", "c40", "--set", "restart.when=on-failure"
+    run = heliarch("launch", "thousand", *words)
+    for cycle, victim in ((5, "z3"), (15, RECORDER)):
+        run.until_recorded(cycle)
+        run.process_of(victim).send_signal(signal.SIGKILL)
+    assert run.process.wait(timeout=400) == 1
+    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
+    group = load_plan(run.folder / "plan.json").wiring.members["z3"]
+    assert summary["restarts"] == dict.fromkeys([*group, RECORDER], 1)
+    assert summary["cycles"] == 40
+    with RunReader(run.folder) as recording:
+        overview, _ = read_through(recording)
+    assert summary["messages_lost"] == sum(overview.lost.values()) > 0
+    found = verify(run.folder)
+    assert found.total("compared") > 0
+    assert_equal_as_far_as_recorded(run, found)
