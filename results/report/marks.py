@@ -26,23 +26,23 @@ class Mark(NamedTuple):
 
 
 def run_marks(reader: RunReader, overview: Overview, series: RunSeries) -> list[Mark]:
-    """Return the marks of a run in the order of time, at most sixty of them."""
-    return sorted(_marks(reader, overview, series))[:_MOST]
+    """Return the marks of a run in the order of time; of many absences the first ones alone."""
+    return sorted([*_marks(reader, overview, series)][:_MOST])
 
 
 def _marks(reader: RunReader, overview: Overview, series: RunSeries) -> Iterator[Mark]:
     for change in fault_changes(reader.plan):
         if change.cycle <= reader.last_cycle:
             yield Mark(change.cycle, f"fault {change.text}", style.ORANGE)
+    for dispatch in series.orders:
+        text = f"{dispatch.order_source}: {order_text(dispatch)}"
+        yield Mark(dispatch.cycle, text, style.BLUE)
     for span in overview.states:
         if span.cycles:
             text = f"{span.agent}: {span.what()} for {span.cycles:,} cycles"
             yield Mark(span.first_cycle, text, style.VERMILLION)
         if span.back_in is not None:
             yield Mark(span.back_in, f"{span.agent}: {span.return_text()}", style.GREEN)
-    for dispatch in series.orders:
-        text = f"{dispatch.order_source}: {order_text(dispatch)}"
-        yield Mark(dispatch.cycle, text, style.BLUE)
 
 
 def mark(figure: go.Figure, series: RunSeries, marks: Sequence[Mark]) -> None:
