@@ -16,6 +16,7 @@ from agents.cycle import Periods
 from agents.device_faults import DeviceFault
 from agents.device_profile import PLAIN, DeviceProfile
 from agents.faults import Fault
+from agents.process.machine import MachineSettings
 from agents.settings import (
     Actuator,
     InverterSettings,
@@ -267,4 +268,4 @@ class Supervision(msgspec.Struct, frozen=True, kw_only=True):
     groups: tuple[str, ...] = ()
     file_cycles: int = 0
     file_bytes: int = 0
-    priority: int = 0
+    machine: MachineSettings = MachineSettings()

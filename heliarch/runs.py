@@ -71,13 +71,14 @@ class RunKeywords(TimeKeywords, total=False):
     keys: Path | None
     address: str
     on: str | Iterable[str] | None
+    cpus: str | Iterable[str] | None
     priority: int | None
 
 
 Recording: TypeAlias = str | Path | Run
 """A recorded run: its folder, its MCAP file, or what `open_run` returned."""
 
-_SEVERAL: Final = ("faults", "external", "devices", "on")
+_SEVERAL: Final = ("faults", "external", "devices", "on", "cpus")
 """Options that may be given several times, or as one text."""
 
 

@@ -16,6 +16,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
+from agents.cycle import kind_of
 from agents.plan import RunPlan
 from agents.process.events import (
     Armed,
@@ -27,7 +28,7 @@ from agents.process.events import (
     Status,
 )
 from agents.process.interruption import Interruption, interruptible
-from agents.process.machine import refusal, take_files
+from agents.process.machine import refusals, take_files
 from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER
@@ -320,6 +321,10 @@ def check_processes(plan: RunPlan) -> None:
             "expected a number such as 1, since faults need real time, got lockstep, where an "
             "agent would wait forever for a lost message",
         )
+    kinds = {kind_of(agent, plan.tree) for agent in plan.processes}
+    for kind in plan.supervision.machine.cpus_of.keys() - kinds:
+        expected = "a kind that has processes of its own (see `processes` in the scenario)"
+        raise InputError.of(f"--cpus {kind}", f"expected {expected}")
     check_devices(plan)
     if plan.access.keys_folder:
         from scenarios.plant_keys import check_keys  # noqa: PLC0415 - optional
@@ -353,9 +358,9 @@ def run_as_processes(
     """
     base_port, plan = preparation.options.base_port, preparation.plan
     take_files(len(plan.processes))
-    refused = refusal(plan.supervision.priority, lockstep=plan.timing.lockstep)
-    if refused:
-        view.say(refused)
+    refused = refusals(plan.supervision.machine, lockstep=plan.timing.lockstep)
+    for line in refused:
+        view.say(line)
     with (
         GatewayProcess(plan) if plan.site.devices else nullcontext() as gateway,
         reserved_ports(
@@ -365,7 +370,7 @@ def run_as_processes(
         interruptible() as interruption,
     ):
         plan = folder.fill(preparation, tcp_ports, "" if plan.access.keys_folder else sockets)
-        remarks = (*preparation.remarks, *filter(None, [refused]))
+        remarks = (*preparation.remarks, *refused)
         preparation = dataclasses.replace(preparation, plan=plan, remarks=remarks)
         if gateway is not None:
             gateway.join(folder.path)

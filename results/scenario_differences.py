@@ -13,7 +13,7 @@ from recordings.read.reader import RunReader
 from results.tables import Cell, Table, key_column, word_column
 from scenarios.fault_rules import fault_text
 
-_OF_EACH_RUN: Final = ("run_id", "protocol", "access.", "supervision.priority", "faults.rules")
+_OF_EACH_RUN: Final = ("run_id", "protocol", "access.", "supervision.machine.", "faults.rules")
 """What differs from run to run without a difference of the scenarios, or has lines of its own."""
 
 _LONGEST: Final = 48

@@ -48,7 +48,7 @@ from scenarios.elsewhere import (
 from scenarios.fault_rules import fault_rules
 from scenarios.fleet import SEEDS_APART, Member, members, named_plant
 from scenarios.power_sources import power_source
-from scenarios.real_time import cycle_wall_ns, parse_pace, process_groups
+from scenarios.real_time import cycle_wall_ns, machine_settings, parse_pace, process_groups
 from scenarios.run_options import RunOptions, parse_split
 from scenarios.scenario import CloudIrradiance, Scenario, ScenarioFile, local_start
 from scenarios.times import LONGEST_S, Cycle, When, on_day, parse_duration_s, parse_moment
@@ -374,7 +374,7 @@ def _plan(
         ),
         supervision=Supervision(
             restart=scenario.restart,
-            priority=options.priority or 0,
+            machine=machine_settings(options.cpus or (), options.priority),
             groups=groups,
             file_cycles=max(round(file_s / scenario.time.cycle_s), 1) if file_s else 0,
             file_bytes=file_bytes,

@@ -1,10 +1,15 @@
-"""What a run in real time asks of the clock and the machine: cycle and processes."""
+"""What a run in real time asks of the clock and the machine: cycle, processes, processors."""
 
 from __future__ import annotations
 
-from typing import Final, Literal, TypeAlias
+import os
+import re
+from collections.abc import Sequence
+from typing import Final, Literal, TypeAlias, cast
 
-from bus_schemas.errors import InputError
+from agents.cycle import KINDS, Kind
+from agents.process.machine import MachineSettings
+from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.tree import ROOT, ControlTree, parent_of
 
 Processes: TypeAlias = Literal["agent", "cluster", "zone"] | tuple[str, ...]
@@ -58,3 +63,31 @@ def process_groups(processes: Processes, tree: ControlTree) -> tuple[str, ...]:
         expected = f"a {processes} between the inverters and the central controller"
         raise InputError.of("processes", f"expected {expected}, got none")
     return tuple(path for path in tree.parents if path and path in found)
+
+
+def machine_settings(cpus: Sequence[str], priority: int | None = None) -> MachineSettings:
+    """Read the values of `--cpus`: processors such as `0-1`, or `plant=0` for one kind."""
+    by_kind: dict[str, tuple[int, ...]] = {}
+    for entry in cpus:
+        kind, equals, listed = entry.rpartition("=")
+        if equals and kind not in KINDS:
+            known = not_one_of(KINDS, kind, "a kind of process: ")
+            raise InputError.of(f"--cpus {entry}", known)
+        by_kind[kind] = _cpu_list(f"--cpus {entry}", listed)
+    everywhere = by_kind.pop("", ())
+    return MachineSettings(everywhere, cast("dict[Kind, tuple[int, ...]]", by_kind), priority or 0)
+
+
+def _cpu_list(where: str, text: str) -> tuple[int, ...]:
+    """Read a list of processors as the kernel writes it: `0`, `0-3` or `0,2-3`."""
+    if not re.fullmatch(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", text):
+        raise InputError.of(where, f"expected processors such as 0, 0-3 or plant=0, got {text!r}")
+    cpus: set[int] = set()
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        cpus.update(range(int(first), int(last or first) + 1))
+    known = os.sched_getaffinity(0)
+    if not cpus or not cpus <= known:
+        listed = ", ".join(map(str, sorted(known)))
+        raise InputError.of(where, f"expected processors of this machine, {listed}, got {text}")
+    return tuple(sorted(cpus))

@@ -17,7 +17,7 @@ from agents.process.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, not_one_of
 from scenarios.elsewhere import read_address, split_devices
-from scenarios.real_time import parse_pace
+from scenarios.real_time import machine_settings, parse_pace
 from scenarios.times import (
     SHORTEST_CYCLE_S,
     When,
@@ -169,6 +169,9 @@ class ProcessOptions:
     on
         Leave these controllers to `heliarch node` on the host with this address:
         `10.0.0.2=c2/*,c3/inv12`. May be given several times.
+    cpus
+        Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, plant,
+        central, supervisor, direct). May be given several times.
     priority
         In real time: run plant and controllers under SCHED_FIFO with this priority, 1 to 99, if
         the machine permits it.
@@ -187,6 +190,7 @@ class ProcessOptions:
     keys: Annotated[Path | None, Parameter(metavar="DIR", group=HOSTS)] = None
     address: Annotated[str, Parameter(metavar="ADDRESS", group=HOSTS)] = "127.0.0.1"
     on: Annotated[_Texts, Parameter(metavar="ADDRESS=AGENTS", group=HOSTS)] = None
+    cpus: Annotated[_Texts, Parameter(metavar="CPUS", group=MACHINE)] = None
     priority: Annotated[Whole | None, Parameter(group=MACHINE)] = None
     split: Annotated[str | None, Parameter(metavar="TIME|SIZE", group=RECORDING)] = None
 
@@ -198,6 +202,7 @@ class ProcessOptions:
         read_address(self.address)
         for text in self.on or ():
             read_address(text.partition("=")[0], f"--on {text}")
+        machine_settings(self.cpus or ())
         _check_range("--priority", self.priority, LOWEST_PRIORITY, HIGHEST_PRIORITY)
         parse_split(self.split)
 

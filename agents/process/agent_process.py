@@ -282,8 +282,9 @@ def set_up_process(plan: RunPlan, agent: str) -> None:
 
     Nothing in a cycle of control makes reference cycles, so there is next to nothing to collect.
     """
-    kind, lockstep = kind_of(agent, plan.tree), plan.timing.lockstep
-    if refused := take_machine(plan.supervision.priority, kind, lockstep=lockstep):
-        log.warning("%s", refused)
+    for refusal in take_machine(
+        plan.supervision.machine, kind_of(agent, plan.tree), lockstep=plan.timing.lockstep
+    ):
+        log.warning("%s", refusal)
     gc.freeze()
     gc.set_threshold(50_000)

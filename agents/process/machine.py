@@ -1,4 +1,4 @@
-"""Scheduling, files and memory of a process."""
+"""Processors, scheduling and memory of a process."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
+
+import msgspec
 
 from agents.cycle import Kind
 from bus_schemas.errors import InputError
@@ -31,34 +33,51 @@ _FILES: Final = 40
 """Open files of a process beside its links."""
 
 
-def take_machine(priority: int, kind: Kind, *, lockstep: bool) -> str:
-    """Set this process up before it opens the bus, which starts threads.
+class MachineSettings(msgspec.Struct, frozen=True):
+    """What the processes of a run may take of the machine. By default nothing special.
 
+    cpus, cpus_of: Processors that all processes run on, and those of one kind. Empty: any.
     priority: In real time: of plant and controllers under SCHED_FIFO, 1 to 99. 0: normal policy.
-
-    Returns why the machine does not permit it: the process goes on without it.
     """
+
+    cpus: tuple[int, ...] = ()
+    cpus_of: dict[Kind, tuple[int, ...]] = {}
+    priority: int = 0
+
+
+def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tuple[str, ...]:
+    """Set this process up as the settings say, before it opens the bus, which starts threads.
+
+    Returns what the machine does not permit, and why: the process goes on without it.
+    """
+    refused = []
+    if cpus := settings.cpus_of.get(kind, settings.cpus):
+        try:
+            os.sched_setaffinity(0, cpus)
+        except OSError as error:
+            refused.append(f"CPU {', '.join(map(str, cpus))}: not available ({error.strerror})")
     if lockstep:
         # Do not interrupt the running process when woken: it may have more messages to send.
         with suppress(OSError):  # A sandbox may forbid it; it only saves processor time.
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     elif kind != "recorder":
         wake_precisely()
+        priority = settings.priority
         try:
             if priority:
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         except OSError as error:
-            return (
+            refused.append(
                 f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}); it needs "
                 f"CAP_SYS_NICE, or `ulimit -r {priority}`"
             )
-    return ""
+    return tuple(refused)
 
 
-def refusal(priority: int, *, lockstep: bool) -> str:
+def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
     """Return what this machine would not permit to a controller, by trying it in a thread."""
     with ThreadPoolExecutor(1) as thread:
-        return thread.submit(take_machine, priority, "direct", lockstep=lockstep).result()
+        return thread.submit(take_machine, settings, "direct", lockstep=lockstep).result()
 
 
 def wake_precisely() -> None:

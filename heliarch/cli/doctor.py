@@ -13,7 +13,7 @@ from typing import Annotated, Final, NamedTuple
 
 from cyclopts import Parameter
 
-from agents.process.machine import refusal
+from agents.process.machine import MachineSettings, refusals
 from bus_schemas.errors import InputError
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import FILES, Json
@@ -78,13 +78,9 @@ def _machine() -> Iterator[Finding]:
     yield _judged("processors", f"{cores}", cores >= 4, few)
     busy = "other programs are running: end them before you measure"
     yield _judged("load", f"{load:.1f}", load <= 0.5 * cores, busy)
-    refused = refusal(20, lockstep=False)
-    yield _judged(
-        "real time",
-        refused or "SCHED_FIFO is permitted",
-        not refused,
-        "matters only for --priority",
-    )
+    refused = refusals(MachineSettings(priority=20), lockstep=False)
+    found = "; ".join(refused) or "SCHED_FIFO is permitted"
+    yield _judged("real time", found, not refused, "matters only for --priority")
 
 
 def _zenoh() -> Finding:

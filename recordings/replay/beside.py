@@ -22,6 +22,7 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan, changed
 from agents.process.interruption import Interruption
+from agents.process.machine import MachineSettings
 from bus_schemas.codec import UNREADABLE, encode
 from bus_schemas.errors import InputError, listed
 from bus_schemas.inbox import Inbox
@@ -223,7 +224,7 @@ def _plan_beside(plan: RunPlan, tcp_ports: dict[str, int]) -> RunPlan:
     plan = changed(
         plan.public,
         faults={"rules": (), "device": ()},
-        supervision={"groups": (), "priority": 0},
+        supervision={"groups": (), "machine": MachineSettings()},
     )
     ports = {one: tcp_ports.get(one, tcp_ports[REPLAYER]) for one in plan.links.listening}
     access = {"tcp_ports": ports, "external": (), "address": "127.0.0.1", "addresses": {}}

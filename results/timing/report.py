@@ -280,13 +280,16 @@ def _host(
     load: tuple[float, float] | None,
     stops: Sequence[MachineStop] | None,
 ) -> dict[str, Any]:
+    machine = plan.supervision.machine
+    bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
     before, after = load or (None, None)
     return {
         **{name: metadata.get(name, "unknown") for name in ("kernel", "cpu_count", "python")},
         "heliarch": metadata.get("version heliarch", "unknown"),
         "time_service": metadata.get("time_service", ""),
         "zenoh": metadata.get("version eclipse-zenoh", "unknown"),
-        "priority": plan.supervision.priority,
+        "priority": machine.priority or 0,
+        "bound_to": {who: tuple(cpus) for who, cpus in bound if cpus},
         "load_before": before,
         "load_after": after,
         "stops": None if stops is None else len(stops),

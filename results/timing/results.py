@@ -71,12 +71,13 @@ def timing_result(report: TimingReport, level: str = "tier") -> Result:
 def host_lines(report: TimingReport) -> Iterator[str]:
     """Say what ran, on what, and what was asked of the machine; remarks say what it refused."""
     host = report.host
-    asked = f"SCHED_FIFO {host['priority']}" if host["priority"] else "normal"
+    asked = [f"SCHED_FIFO {host['priority']}" if host["priority"] else "normal"]
+    asked += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in host["bound_to"].items()]
     load = ""
     if host["load_after"] is not None:
         load = f"; load average {host['load_before']:.2f} before, {host['load_after']:.2f} after"
     yield f"kernel {host['kernel']}, {host['cpu_count']} CPUs{load}"
-    yield f"scheduling asked for: {asked}"
+    yield f"scheduling asked for: {', '.join(asked)}"
     yield f"Python {host['python']}, heliarch {host['heliarch']}, Zenoh {host['zenoh']}"
     if host["stops"]:  # A process that only sleeps was woken late.
         yield (

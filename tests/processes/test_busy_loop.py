@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import command_line
 import pandas as pd
 import pytest
 from running import small_plant
@@ -33,9 +34,8 @@ def test_the_culprit_of_each_late_cycle_lacked_the_processor(rate_hz: int, tmp_p
     plant, folder, seconds = small_plant(tmp_path / "plant"), tmp_path / "run", max(20 / rate_hz, 8)
     words = [sys.executable, str(BUSY), "0", str(BURST / rate_hz), str(PERIOD / rate_hz)]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as busy:
-        options = ("--rate", str(rate_hz), "--duration", f"{seconds:g}s", "--out", folder)
-        one_core = ("taskset", "--cpu-list", "0", sys.executable, "-m", "heliarch")
-        subprocess.run([*one_core, "timing", plant, *options], check=False)
+        options = ("--rate", str(rate_hz), "--duration", f"{seconds:g}s", "--cpus", "0")
+        command_line.heliarch("timing", plant, *options, "--out", folder)
         said, _ = busy.communicate()
     bursts = [tuple(map(int, line.split())) for line in said.splitlines()]
     report = report_on(folder)

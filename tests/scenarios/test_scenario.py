@@ -370,6 +370,7 @@ def test_bad_measurements_are_refused(measured: Folder, old: str, new: str, comp
         ("devices", "device", (["c1/a=nowhere"],)),
         ("external_timeout_s", "external-timeout", (0.0,)),
         ("address", "address", ("here",)),
+        ("cpus", "cpus", (["all"],)),
         ("priority", "priority", (-1, 0, 100)),
     ],
 )

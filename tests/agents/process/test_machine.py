@@ -14,8 +14,9 @@ from command_line import python
 
 from agents.cycle import Kind
 from agents.process.machine import (
+    MachineSettings,
     own_memory_mb,
-    refusal,
+    refusals,
     stand_back,
     take_machine,
 )
@@ -30,18 +31,27 @@ def place() -> Place:
     return os.sched_getscheduler(0), priority, os.sched_getaffinity(0)
 
 
-def taken(priority: int, kind: Kind = "direct", *, lockstep: bool = False) -> tuple[str, Place]:
+def taken(
+    settings: MachineSettings, kind: Kind = "direct", *, lockstep: bool = False
+) -> tuple[tuple[str, ...], Place]:
     """What a thread is refused, and its place then: the kernel keeps it thread by thread."""
     with ThreadPoolExecutor(1) as thread:
-        refused = thread.submit(take_machine, priority, kind, lockstep=lockstep).result()
+        refused = thread.submit(take_machine, settings, kind, lockstep=lockstep).result()
         return refused, thread.submit(place).result()
+
+
+def test_a_process_runs_on_the_cpus_of_its_kind_or_of_all() -> None:
+    first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
+    settings = MachineSettings(cpus=(first,), cpus_of={"plant": (last,)})
+    assert taken(settings, "plant")[1][2] == {last}
+    assert taken(settings, lockstep=True) == ((), (os.SCHED_BATCH, 0, {first}))
 
 
 def test_priority_is_taken_where_the_machine_permits_it_and_what_is_refused_is_said() -> None:
     before = place()
-    expected = refusal(7, lockstep=False)
+    expected = refusals(MachineSettings(priority=7), lockstep=False)
     assert place() == before, "trying it leaves this process as it is"
-    refused, found = taken(7)
+    refused, found = taken(MachineSettings(priority=7))
     assert refused == expected
     assert found == before if refused else found[:2] == (os.SCHED_FIFO, 7)
 
@@ -53,10 +63,10 @@ def test_without_permission_the_policy_stays_and_the_text_says_what_it_takes() -
     refused, policy = python(
         """
 import os, resource, traceback
-from agents.process.machine import take_machine
+from agents.process.machine import MachineSettings, take_machine
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 os.setgroups([]); os.setgid(65534); os.setuid(65534)
-print(take_machine(20, "direct", lockstep=False))
+print(take_machine(MachineSettings(priority=20), "direct", lockstep=False))
 print(os.sched_getscheduler(0))
 """
     ).stdout.splitlines()
@@ -72,7 +82,7 @@ def test_where_a_sandbox_forbids_the_policy_of_lockstep_a_process_goes_on(
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    assert taken(0, lockstep=True)[0] == ""
+    assert taken(MachineSettings(), lockstep=True)[0] == ()
 
 
 def test_only_the_thread_that_stands_back_does_so() -> None:
@@ -86,7 +96,7 @@ def test_only_the_thread_that_stands_back_does_so() -> None:
 def test_timers_are_exact_in_real_time() -> None:
     done = python(
         "import ctypes; from agents.process.machine import *; "
-        "take_machine(0, 'direct', lockstep=False); "
+        "take_machine(MachineSettings(), 'direct', lockstep=False); "
         "print(ctypes.CDLL(None).prctl(30))"  # PR_GET_TIMERSLACK
     )
     assert done.stdout == "1\n"

@@ -120,6 +120,8 @@ simulate small.toml small.toml                                          got smal
 simulate oahuu                                                          oahu
 simulate oahu --set time.duration_s=2590000 --set time.cycle_s=0.4      time.duration_s
 launch small.toml --external c9                                         --external
+launch small.toml --cpus x                                              --cpus
+launch small.toml --set processes=cluster --cpus direct=0               --cpus
 launch small.toml --fault loss=1%                                       --pace
 launch small.toml --device c9=modbus://10.0.0.7/1                       --device
 launch small.toml --device c1/inv01=modbus://127.0.0.1/1                --pace
