@@ -58,6 +58,7 @@ _LONGEST_STEP_S: Final = 0.5
 _LOOK_S: Final = 0.2
 
 START_S: Final = 10.0
+START_PER_AGENT_S: Final = 0.003
 """Before cycle 0: how long no process may come onto the bus and no agent answer for the first time.
 While others move, a busy machine may take its time."""
 
@@ -131,6 +132,7 @@ class Processes:
         self._server_failed = ""
         self._requests: deque[bytes] = deque()
         self._incidents = incidents(plan.faults.rules, plan.tree, plan.wiring)
+        self._start_s = START_S + START_PER_AGENT_S * len(plan.tree.nodes)
         self._frozen_s = plan.supervision.restart.frozen_s + BEAT_S
         # In lockstep a cycle may take any time.
         self._cycle_s = 3.0e-9 * plan.timing.cycle_wall_ns + self._frozen_s
@@ -442,9 +444,9 @@ class Processes:
             return ""
         if process.state == "starting":
             idle_s = self.ran_s - max(process.beat_at_s, self._moved_at_s)
-            if idle_s <= START_S or not any(one.is_there for one in self.own):
+            if idle_s <= self._start_s or not any(one.is_there for one in self.own):
                 return ""
-            return f"has not come onto the bus for {START_S:.0f} s"
+            return f"has not come onto the bus for {self._start_s:.0f} s"
         limit_s = max(self._frozen_s, plant_s)
         if self.ran_s - process.beat_at_s > limit_s:
             return f"has not beaten for {limit_s:.1f} s"
@@ -494,7 +496,7 @@ class Processes:
 
     def stuck_start(self) -> FailureError | None:
         """Before cycle 0: return a failure that names the missing, if nothing moves for long."""
-        if self.ran_s - self._moved_at_s <= START_S:
+        if self.ran_s - self._moved_at_s <= self._start_s:
             return None
         absent = [one for one in self.own if not one.is_there]
         if absent:
@@ -502,13 +504,13 @@ class Processes:
             if has_hope:  # A process that hangs is started again once.
                 return None
             missing = listed([one.name for one in absent], most=3)
-            text = f"in {START_S:.0f} s nobody came onto the bus; missing: {missing}"
+            text = f"in {self._start_s:.0f} s nobody came onto the bus; missing: {missing}"
             return self.failure(absent[0].name, text)
         names, number = self.never_heard
         if not number:
             return None  # All have answered once; the plant says what it waits for.
         others = f" and {number - len(names)} more" if number > len(names) else ""
-        text = f"in {START_S:.0f} s of arming nothing came from {', '.join(names)}{others}"
+        text = f"in {self._start_s:.0f} s of arming nothing came from {', '.join(names)}{others}"
         return self.failure(names[0] if names[0] in self else RECORDER, text)
 
     def still_waiting(self) -> list[Process]:
