@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -75,6 +76,44 @@ class Stretch(NamedTuple):
     incarnation: int
     lost: int = 0
     is_anew: bool = False
+
+
+class _Process:
+    """The numbers of one process that were recorded, as spans in order."""
+
+    def __init__(self, series: _Series) -> None:
+        self.incarnation = series.incarnation
+        self.newest_cycle = series.last_cycle
+        self._spans = [(series.first, series.last)]
+
+    def has_begun_anew(self, series: _Series) -> bool:
+        """Whether a later series has numbers that this process has used before."""
+        if series.incarnation > self.incarnation:
+            return True
+        is_used = any(first <= series.first <= last for first, last in reversed(self._spans))
+        return is_used and series.first_cycle > self.newest_cycle
+
+    def add(self, series: _Series) -> int:
+        """Add the numbers of a series; return how many of them were there already."""
+        self.newest_cycle = max(self.newest_cycle, series.last_cycle)
+        first, last, again = series.first, series.last, 0
+        if first > self._spans[-1][1] + 1:  # As nearly always.
+            self._spans.append((first, last))
+            return 0
+        others = []
+        for begin, end in self._spans:
+            if end < first - 1 or begin > last + 1:
+                others.append((begin, end))
+                continue
+            again += max(0, min(end, series.last) - max(begin, series.first) + 1)
+            first, last = min(begin, first), max(end, last)
+        self._spans = sorted([*others, (first, last)])
+        return again
+
+    @property
+    def lost(self) -> int:
+        between = sum(two[0] - one[1] - 1 for one, two in pairwise(self._spans))
+        return self._spans[0][0] + between
 
 
 class PortGaps:
@@ -151,16 +190,16 @@ class PortGaps:
         """Return stretches and lost messages; join series that turn out to be one."""
         stretches: list[Stretch] = []
         joined: list[_Series] = []
-        lost, incarnation, newest, newest_cycle = 0, -1, -1, -1
+        lost, process = 0, None
         for series in sorted(self._series, key=lambda one: one.place):
-            is_used_anew = series.first <= newest and series.first_cycle > newest_cycle
-            begins = series.incarnation != incarnation or is_used_anew
-            if begins:
-                incarnation, newest, newest_cycle = series.incarnation, -1, -1
-            again = max(min(newest, series.last) - series.first + 1, 0)
+            begins = process is None or process.has_begun_anew(series)
+            if process is None or begins:
+                lost += process.lost if process else 0
+                process = _Process(series)
+                again = 0
+            else:
+                again = process.add(series)
             self._repeated += again
-            lost += max(series.first - newest - 1, 0)
-            newest, newest_cycle = max(newest, series.last), max(newest_cycle, series.last_cycle)
             if again > series.last - series.first:
                 continue
             before = joined[-1] if joined and not begins else None
@@ -171,7 +210,7 @@ class PortGaps:
             joined.append(series)
             self._add(stretches, series, before, begins=begins)
         self._series = joined
-        return stretches, lost
+        return stretches, lost + (process.lost if process else 0)
 
     def _is_next(self, before: _Series, series: _Series) -> bool:
         step = series.first_cycle - before.last_cycle
