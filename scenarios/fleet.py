@@ -29,6 +29,20 @@ from sim_plant.sources import CloudySky, PowerSource
 SEEDS_APART: Final = 1000
 """Plants that name no seed get seeds so far apart: equal seeds would give equal skies."""
 
+_SET: Final = (
+    *("irradiance", "pv", "plant", "grid", "neighbours", "time.timezone"),
+    *("control.clusters", "control.clusters_seed"),
+)
+"""Fields that a plant brings to its fleet, and tables of them."""
+
+_OF_FLEET: Final = {
+    "plant.actuator",
+    "plant.available_share",
+    "plant.ramp_limit_percent_per_min",
+    "grid.nominal_hz",
+}
+"""Fields of those tables that the fleet alone has."""
+
 
 @dataclass(frozen=True, slots=True)
 class Member:
@@ -116,6 +130,12 @@ def _file_of(fleet_file: ScenarioFile, entry: PlantEntry, number: int) -> Scenar
     if name.endswith(".toml"):
         name = str(fleet_file.data_path(name))
     file = load_scenario(name, fleet_file.data_folder)
+    for field in entry.set:
+        if field in _OF_FLEET or not f"{field}.".startswith(tuple(f"{one}." for one in _SET)):
+            expected = f"a field of {', '.join(_SET)} without {', '.join(sorted(_OF_FLEET))}"
+            raise InputError.of("set", f"expected {expected}, got {field} for {entry.name}")
+        if field == "irradiance.seed" and entry.seed is not None:
+            raise InputError.of("set", f"expected seed alone, got {field} too for {entry.name}")
     try:
         file = with_settings(file, [*entry.set.items()])
     except InputError as error:

@@ -80,6 +80,7 @@ def test_the_controllers_of_a_plant_go_to_another_host_together(folder: Folder) 
     assert plan.access.addresses == dict.fromkeys(away, "10.0.0.2")
 
 
+DELAY, SEED = '"plant.delay_s" = 2.0', '"irradiance.seed" = 2'
 MEASURED = """\
 name = "hope"
 scenario = "hope-melpitz"
@@ -108,6 +109,11 @@ seed = 4"""
         ('"plant.delay_s" = 2.0', '"plant.delay_s" = -2', "plants[1].set: plant.delay_s: "),
         ('"plant.delay_s" = 2.0', '"grid.pmin" = 0.1', "plants[1].scenario: expected grid.pmin"),
         ('"plant.delay_s" = 2.0', '"plant.inverters" = "no.csv"', "plants[1].scenario: no.csv"),
+        *(
+            (DELAY, f'"{field}" = 1', f"got {field} for north")
+            for field in ("commitment.share", "time.cycle_s", "control.scheme", "plant.actuator")
+        ),
+        (f"\n[plants.set]\n{DELAY}", f"seed = 1\n[plants.set]\n{SEED}", "seed too for north"),
         ("[commitment]", "[plant]\nrating_kw = 10\n\n[commitment]", "plant.rating_kw: expected"),
         ("[commitment]", "[pv]\ntilt_deg = 1\n\n[commitment]", "pv: expected none in a fleet"),
         (PLANTS, "[[plants]]\n", "plants[0].name: expected"),
