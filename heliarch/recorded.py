@@ -21,6 +21,7 @@ from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 from recordings.read.reader import RunReader
+from recordings.read.run_file import SUMMARY_NAME
 from recordings.read.series import RunSeries, plant_series_of
 from results.figures import FIGURES, Shown, run_figures, shown_in
 from results.headline import curve_lines
@@ -135,10 +136,12 @@ class Run:
     def summary(self) -> RunDocument:
         """What is in `summary.json`: `run.summary.highlights.hard_minutes`.
 
-        Raises FileNotFoundError: The run has not ended.
+        Raises FileNotFoundError: The run has not ended; InputError: It is of another version.
         """
-        if (found := document_in(self.folder, self.plan.run_id)) is None:
-            raise FileNotFoundError(f"{self.folder}: expected the summary.json of this run")
+        found, why_not = document_in(self.folder, self.plan.run_id)
+        if found is None:
+            error = InputError if (self.folder / SUMMARY_NAME).exists() else FileNotFoundError
+            raise error(f"{self.folder}: {why_not}")
         return found
 
     @by_parameter

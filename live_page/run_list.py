@@ -65,12 +65,13 @@ def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
     folder = recording.parent
     has_ended = (folder / SUMMARY_NAME).exists()
     run = _what_was_run(recording, written.st_ino, 0 if has_ended else written.st_size)
-    found = document_in(folder, run["run_id"])
+    found, why_not = document_in(folder, run["run_id"])
+    outcome = Outcome(found, failure_in(folder), undocumented=why_not)
     longest_s = max(_STILL_S, 3.0 * run["cycle_wall_s"])
     is_growing = time.time() - written.st_mtime < longest_s
     return {
         "name": name,
-        "state": _end(Outcome(found, failure_in(folder)), is_growing=is_growing),
+        "state": _end(outcome, is_growing=is_growing, has_ended=has_ended),
         "recorded_ms": written.st_mtime * 1e3,
         "start": found.sim_start if found else "",
         "simulated_s": found.cycles * found.cycle_s if found else 0.0,
@@ -82,8 +83,10 @@ def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
     }
 
 
-def _end(outcome: Outcome, *, is_growing: bool) -> str:
+def _end(outcome: Outcome, *, is_growing: bool, has_ended: bool) -> str:
     if outcome.document is None and not outcome.failure:
+        if has_ended:
+            return outcome.undocumented
         return "running" if is_growing else "unfinished"
     return outcome.text
 

@@ -11,8 +11,7 @@ from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.tree import RECORDER
 from recordings.inspect.overview import Overview
 from recordings.read.run_clock import RunClock
-from recordings.read.run_file import SUMMARY_NAME
-from results.run_document import Outcome, RunDocument
+from results.run_document import Outcome
 from scenarios.fault_rules import fault_text
 
 _NAMED: Final = 5
@@ -31,7 +30,7 @@ def health_lines(
     yield "missing", _missing(overview, outcome)
     if overview.repeated:
         yield "repeated", f"{overview.repeated:,} messages came again"
-    yield "dropped", _dropped(document)
+    yield "dropped", _dropped(outcome)
     yield "inputs", _missed_text(overview, clock)
     for span in overview.states[:_NAMED]:
         yield "states", span.text(clock)
@@ -63,9 +62,9 @@ def _nothing_done(fault: Fault, overview: Overview, clock: RunClock) -> str:
     return f": never acted, it begins in cycle {first:,}" if first > overview.last_cycle else ""
 
 
-def _dropped(document: RunDocument | None) -> str:
-    if document is None:
-        return f"not recorded: there is no {SUMMARY_NAME} beside the recording"
+def _dropped(outcome: Outcome) -> str:
+    if (document := outcome.document) is None:
+        return f"not recorded: {outcome.undocumented}"
     dropped, skipped = document.dropped, document.skipped_cycles
     wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in document.wrong]
     parts = [f"{sum(dropped.values()):,} messages that agents could not use{_named(dropped)}"]

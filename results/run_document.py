@@ -10,6 +10,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import msgspec
 from msgspec.structs import replace
 
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import listed
 from recordings.inspect.overview import Overview, read_overview
 from recordings.read.reader import RunReader
@@ -22,6 +23,8 @@ from sunspec.process import DeviceAccount
 
 End: TypeAlias = Literal["failed", "interrupted", "unfinished", "over"]
 """Given up by its launcher; ended early; not shown to have ended; ended as planned."""
+
+_NONE: Final = f"there is no {SUMMARY_NAME} beside the recording"
 
 _MOST_REFUSED: Final = 0.1
 """Share of its messages that may be refused of an external agent: more is a failure."""
@@ -231,13 +234,19 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
 
 
-def document_in(folder: Path, run_id: str) -> RunDocument | None:
-    """Return the document in a folder; None if there is none of this run."""
+def document_in(folder: Path, run_id: str) -> tuple[RunDocument | None, str]:
+    """Return the document of a run in a folder, or why there is none."""
     try:
         document = msgspec.json.decode((folder / SUMMARY_NAME).read_bytes(), type=RunDocument)
-    except (OSError, msgspec.DecodeError):
-        return None
-    return document if document.run_id == run_id else None
+    except FileNotFoundError:
+        return None, _NONE
+    except (OSError, *UNREADABLE) as error:
+        found = f"{SUMMARY_NAME} is damaged or of another version of Heliarch ({error})"
+    else:
+        if document.run_id == run_id:
+            return document, ""
+        found = f"{SUMMARY_NAME} is of another run, {document.run_id}"
+    return None, f"{found}: run the scenario again to make it anew"
 
 
 def failure_in(folder: Path) -> str:
@@ -253,13 +262,15 @@ class Outcome(NamedTuple):
     """How a run ended: every command, page and report asks here.
 
     The document and the failure are in the run's folder, `stop_cycle` is in its recording: none of
-    them is there while the run goes on. `planned_cycles` counts where there is no document.
+    them is there while the run goes on. `planned_cycles` counts where there is no document, and
+    `undocumented` says why.
     """
 
     document: RunDocument | None = None
     failure: str = ""
     stop_cycle: int | None = None
     planned_cycles: int = 0
+    undocumented: str = _NONE
 
     @property
     def _cycles(self) -> tuple[int | None, int]:
@@ -299,13 +310,13 @@ class Outcome(NamedTuple):
 
 def outcome_of(run: RunReader) -> Outcome:
     folder, planned = run.path.parent, run.plan.timing.cycles
-    document = document_in(folder, run.plan.run_id)
-    return Outcome(document, failure_in(folder), run.stop_cycle, planned)
+    document, why_not = document_in(folder, run.plan.run_id)
+    return Outcome(document, failure_in(folder), run.stop_cycle, planned, why_not)
 
 
 def overview_of(run: RunReader) -> Overview:
     """Return what a recording holds: as known since the end of the run, or else by reading it."""
-    document = document_in(run.path.parent, run.plan.run_id)
+    document, _ = document_in(run.path.parent, run.plan.run_id)
     if document is not None and document.recording is not None:
         known_ns = run.path.with_name(SUMMARY_NAME).stat().st_mtime_ns
         is_newest = known_ns >= max(os.fstat(file.fileno()).st_mtime_ns for file in run.files)

@@ -46,11 +46,6 @@ _CPU_PERCENT: Final = 80.0
 
 _COUNTS: Final = {"missed_deadlines": WITHOUT, "overruns": OVERRUN, "skipped_cycles": SILENT}
 
-_NO_SUMMARY: Final = (
-    "no summary.json of this run beside the recording: processor time and lost messages are not "
-    "known"
-)
-
 
 class Budget(NamedTuple):
     """One budget, such as `hop residual p99`.
@@ -161,7 +156,8 @@ def report_on(
     summary = summary or outcome.document
     late, external, times = late_cycles(stages, plan), devices_of(stages, plan), statistics(stages)
     cycles = int(stages.cycle.max()) + 1
-    wall_s, lost, remarks = cycles * plan.timing.cycle_wall_ns / 1e9, None, [_NO_SUMMARY]
+    wall_s, lost = cycles * plan.timing.cycle_wall_ns / 1e9, None
+    remarks = [f"processor time and lost messages are not known: {outcome.undocumented}"]
     if summary is not None:
         wall_s, lost = summary.wall_s, summary.lost
         remarks = [*summary.remarks, *filter(None, [summary.recording_ended])]

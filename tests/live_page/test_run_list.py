@@ -6,9 +6,13 @@ import os
 import time
 from pathlib import Path
 
+import command_line
+import pytest
 from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, whole_run, write_run
 
+from bus_schemas.errors import InputError
+from heliarch import open_run
 from live_page.run_list import run_list
 
 
@@ -35,6 +39,19 @@ def test_a_recording_without_a_head_is_looked_at_again_when_it_has_one(tmp_path:
         file.write(whole)
     (grown,) = run_list(tmp_path)["runs"]
     assert (grown["unreadable"], grown["inverters"]) == ("", 4)
+
+
+def test_a_summary_of_another_version_is_named_wherever_it_is_read(tmp_path: Path) -> None:
+    folder = tmp_path / "old"
+    folder.mkdir()
+    write_run(folder / "run.mcap", whole_run(2))
+    (folder / "summary.json").write_text('{"run_id": "by-hand", "plant": "field"}')
+    (row,) = run_list(tmp_path)["runs"]
+    inspected = command_line.heliarch("inspect", folder)
+    with open_run(folder) as run, pytest.raises(InputError) as refused:
+        str(run.summary)
+    for text in (row["state"], inspected.output, str(refused.value)):
+        assert "of another version" in text.replace("\n", " ")
 
 
 def test_a_run_that_is_deleted_while_it_is_listed_is_left_out(tmp_path: Path) -> None:
