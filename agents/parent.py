@@ -291,11 +291,12 @@ class Supervisor(Parent):
         """Return what the plant's inverters and storages are to give for a power at its meter."""
         reference_kw = ramped_kw(state.reference_kw, asked_kw, feedback.grid)
         able_kw = together(self.abilities(turn)).discharge_kw if self._stores else 0.0
-        possible_kw = net_kw(total([one.impp_kw for one in reports]) + able_kw, feedback.grid)
-        wanted_kw = desired_kw(reference_kw, 0.0, possible_kw, feedback.grid)
+        impp_kw = total([one.impp_kw for one in reports])
+        with_stores_kw = net_kw(impp_kw + able_kw, feedback.grid)
+        wanted_kw = desired_kw(reference_kw, 0.0, with_stores_kw, feedback.grid)
         late = min(one.stale_cycles for one in reports) + turn.cycle - state.meter_cycle
         state = replace(state, reference_kw=reference_kw)
-        return feedback.target_kw(state, wanted_kw, possible_kw, late)
+        return feedback.target_kw(state, wanted_kw, net_kw(impp_kw, feedback.grid), late)
 
     def _of_stores(
         self, turn: Turn, setpoint: Setpoint | None, target_kw: float, reports: list[Report]
@@ -359,13 +360,13 @@ class CentralController(Parent):
         state = self._recall(state, turn.get(self._meter))
         state, offered = self._offer(state, turn, possible_kw)
         able = together(self.abilities(turn)) if self._stores else NO_ABILITY
-        possible_kw = net_kw(impp_kw + able.discharge_kw, self._grid)
+        with_stores_kw = net_kw(impp_kw + able.discharge_kw, self._grid)
         state = self._feedback.read(state, turn.get(self._meter))
         state, notices = self._follow_dispatch(state, turn)
         outputs = [*self.report_up(turn, reports), *offered, *notices]
         if turn.get(_DISPATCH) is not None and self._control.periods.acts(ROOT, turn.cycle):
             late = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
-            wanted_kw = self._wanted_kw(state, turn, possible_kw)
+            wanted_kw = self._wanted_kw(state, turn, with_stores_kw)
             state, target_kw = self._feedback.target_kw(state, wanted_kw, possible_kw, late)
             if self._stores:
                 state, found = self._with_stores(state, turn, target_kw, impp_kw, reports)

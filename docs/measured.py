@@ -31,7 +31,6 @@ from scipy import stats
 from agents.control.clusters import geographic_clusters, search_clusters
 from agents.control.correlation import hourly_correlation
 from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
-from agents.control.storage import NO_ABILITY, ability, moved, storage_kw
 from agents.plan import RunPlan, changed
 from agents.settings import Actuator, OfferedCommitment, StorageSettings
 from bus_schemas.tree import ROOT
@@ -1087,36 +1086,14 @@ def missed_under(day: Preparation, share: float, minutes: int = 0, *, has_help: 
     plan = with_battery(day.plan, minutes)
     wanted_kw = share * day.profile.commitment_kw
     profile = replace(day.profile, commitment_kw=wanted_kw, regulation_kw=np.zeros_like(wanted_kw))
-    if has_help:
-        run = run_loop(plan, profile, "predictive", "limit")
-        given_kw = Meters(plan).fed_in_kw(run.power_kw, run.storage_power_kw)
-    else:
-        given_kw = without_help_kw(plan, profile)
+    run = run_loop(plan, profile, "predictive", "limit", has_help=has_help)
+    given_kw = Meters(plan).fed_in_kw(run.power_kw, run.storage_power_kw)
     missing_kw = np.maximum(profile.commitment_kw - given_kw, 0.0)
     quarters = len(given_kw) // 900
     by_quarter = [
         kw[: 900 * quarters].reshape(-1, 900).sum(1) for kw in (missing_kw, profile.commitment_kw)
     ]
     return by_quarter[0] / by_quarter[1]
-
-
-def without_help_kw(plan: RunPlan, profile: Profile) -> np.ndarray:
-    """Return the power of inverters that are each held to their share, and of a battery.
-
-    All obey at once, and the battery knows what they give. Caps rise by what it wants to take.
-    """
-    parts = np.array([rating_kw for _, rating_kw in plan.inverters]) / plan.tree.rating_kw(ROOT)
-    laws, given_kw = [*plan.storage_laws.values()], np.empty(profile.cycles)
-    energy_kwh, power_kw = (laws[0].target_kwh if laws else 0.0), 0.0
-    for cycle, target_kw in enumerate(profile.commitment_kw.tolist()):
-        able = ability(energy_kwh, power_kw, laws[0]) if laws else NO_ABILITY
-        caps_kw = parts * (target_kw + able.charge_kw)
-        sun_kw = float(np.minimum(profile.mpp_kw[cycle], caps_kw).sum())
-        if laws:
-            wanted_kw = storage_kw(target_kw, sun_kw, sun_kw, able, helps_first=False)
-            power_kw, energy_kwh = moved(energy_kwh, power_kw, wanted_kw, laws[0])
-        given_kw[cycle] = sun_kw + power_kw
-    return given_kw
 
 
 # docs/fleet.md

@@ -123,7 +123,7 @@ def corrected(
     Parameters
     ----------
     desired_kw, possible_kw
-        What the plant is to give at its meter, and what it could give.
+        What the plant is to give at its meter, and what its inverters could give.
     delay_s
         Time that messages need to the inverters and back [s], in addition to the cycle that a
         setpoint holds.
@@ -137,14 +137,14 @@ def corrected(
         turns = shown_turns(delay_s, law.turn_s)
         missed_kw = _missing_kw(last, metered_kw, turns)
         time_s = last.readings * law.cycle_s
-        if not is_free:
+        if not isnan(missed_kw):
             error_kw += (abs(missed_kw) - error_kw) * time_s / (ERROR_MEMORY_S + time_s)
         is_on_its_way = law.is_ramped and (metered_kw - last.last_kw) * missed_kw > 0.0
         if is_on_its_way:  # What moves as the aims did gets no nearer to them.
             aims_way_kw = last.shown_kw[turns - 2] - last.shown_kw[turns - 1]
             nearer_kw = metered_kw - last.last_kw - aims_way_kw
             is_on_its_way = abs(nearer_kw) > LEAST_WAY * abs(missed_kw)
-        if missed_kw != 0.0 and not is_on_its_way:
+        if abs(missed_kw) > 0.0 and not is_on_its_way:
             would_kw = missed_kw + last.correction_kw
             # A large error that nothing told of counts for no more than the correction itself.
             told_kw = min(max(would_kw, -abs(lacking_kw)), abs(lacking_kw))
@@ -197,7 +197,9 @@ def shown_turns(delay_s: float, turn_s: float) -> int:
 
 
 def _missing_kw(known: Correction, metered_kw: float, turns: int) -> float:
-    """Return what the meter lacks of what it should show; negative if it shows more [kW].
+    """Return what the meter lacks of what it should show [kW]; negative if it shows more.
+
+    NaN: what it should show is not known.
 
     It may show any power between the aims that it may still show: against the newest alone, the
     correction would add up what is only on its way, and overshoot.
@@ -206,7 +208,7 @@ def _missing_kw(known: Correction, metered_kw: float, turns: int) -> float:
     for turn in range(turns):
         # What an aim before the first one lets the meter show is not known.
         if turn >= len(known.shown_kw) or isnan(known.shown_kw[turn]):
-            return 0.0
+            return nan
         lowest_kw = min(lowest_kw, known.shown_kw[turn])
         highest_kw = max(highest_kw, known.shown_kw[turn])
     return min(max(metered_kw, lowest_kw), highest_kw) - metered_kw

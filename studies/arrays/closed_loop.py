@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from math import ceil, isnan, nan
+from math import ceil, inf, isnan, nan
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -87,6 +87,7 @@ class LoopSettings(NamedTuple):
     hold_cycles: int
     grid: GridLaw
     meter_error: float
+    has_help: bool
     helps_first: bool
     pursuit: Pursuit
 
@@ -165,12 +166,18 @@ def run_loop(
     scheme: Scheme,
     actuator: Actuator,
     record: Floats | None = None,
+    *,
+    has_help: bool = True,
 ) -> LoopResult:
     """Run a plan's hierarchy on a profile with this scheme and actuator in place of its own.
 
-    `record` is what the offers of earlier runs left; this run adds to it, in place.
+    record: What the offers of earlier runs left; this run adds to it, in place.
+    has_help: Otherwise no inverter counts for more than its share of the dispatch, and of what
+        charges the storages.
     """
-    return _compiled_loop()(*loop_inputs(plan, profile, scheme, actuator, record))
+    inputs = loop_inputs(plan, profile, scheme, actuator, record)
+    settings = inputs.settings._replace(has_help=has_help)
+    return _compiled_loop()(*inputs._replace(settings=settings))
 
 
 @cache
@@ -198,6 +205,7 @@ def loop_inputs(
         hold_cycles=plan.control.hold_cycles,
         grid=plan.grid_law,
         meter_error=plan.grid.meter_error_percent / 100.0,
+        has_help=True,
         helps_first=plan.control.storage == "first",
         pursuit=plan.pursuit,
     )
@@ -299,7 +307,10 @@ def closed_loop(
                 rating_kw[i],
                 estimates[i],
             )
-        report_up(tree, settings, estimates, node_impp_kw, plants)
+        able, most_share = state_abilities(storages, plants), inf
+        if not settings.has_help:
+            most_share = (schedule.dispatch_kw[cycle] + able.charge_kw) / plant_rating_kw
+        report_up(tree, settings, estimates, most_share, node_impp_kw, plants)
         possible_kw = net_kw(node_impp_kw[0], settings.grid)
         read_kw = read_meters(
             plants, last_kw, storages.power_kw, settings.grid, settings.meter_error
@@ -311,8 +322,6 @@ def closed_loop(
             known = with_reading(known, read_kw)
             for plant in range(len(known_of_plants)):
                 known_of_plants[plant] = with_reading(known_of_plants[plant], plants.read_kw[plant])
-        able = state_abilities(storages, plants)
-        possible_kw = net_kw(node_impp_kw[0] + able.discharge_kw, settings.grid)
         if cycle % tree.period[0] == 0:
             known = corrected(known, heard_kw, possible_kw, 0.0, settings.correction)
             target_kw[0], course = ask_storages(
@@ -434,13 +443,15 @@ def report_up(
     tree: ControlArrays,
     settings: LoopSettings,
     estimates: list[Estimate],
+    most_share: float,
     impp_kw: Floats,
     plants: PlantArrays,
 ) -> None:
-    """Add up the children's IMPP, from the inverters to the root."""
+    """Add up the IMPPs, each up to a share of the rating, from the inverters to the root."""
     for i in range(len(estimates)):
-        is_gone = is_lost(estimates[i], settings.hold_cycles)
-        impp_kw[tree.inverters[i]] = 0.0 if is_gone else estimates[i].power_kw
+        node = tree.inverters[i]
+        own_kw = min(estimates[i].power_kw, most_share * tree.rating_kw[node])
+        impp_kw[node] = 0.0 if is_lost(estimates[i], settings.hold_cycles) else own_kw
     for row in range(len(tree.parents) - 1, -1, -1):
         node = tree.parents[row]
         impp_kw[node] = total(impp_kw[tree.first[row] : tree.end[row]])

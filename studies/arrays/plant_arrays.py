@@ -107,7 +107,8 @@ def metered_kw(
     grid, law = grid_law(plants, plant), correction_law(plants, plant, kept_turns)
     reference_kw = ramped_kw(plants.reference_kw[plant], asked_kw, grid)
     plants.reference_kw[plant] = reference_kw
-    possible_kw = net_kw(plants.impp_kw[plant] + plants.able_kw[plant], grid)
-    wanted_kw = desired_kw(reference_kw, 0.0, possible_kw, grid)
+    with_stores_kw = net_kw(plants.impp_kw[plant] + plants.able_kw[plant], grid)
+    wanted_kw = desired_kw(reference_kw, 0.0, with_stores_kw, grid)
+    possible_kw = net_kw(plants.impp_kw[plant], grid)
     known[plant] = corrected(known[plant], wanted_kw, possible_kw, 0.0, law)
     return corrected_kw(known[plant], law, grid)

@@ -174,6 +174,25 @@ def test_over_delivery_of_slow_inverters_is_absorbed(helps: StorageHelp) -> None
     assert min(stored(sent)[0]) < -40.0
 
 
+@pytest.mark.parametrize("state", [0.1, 1.0])
+@pytest.mark.parametrize("share", [0.5, 0.8])
+def test_under_a_sky_that_nobody_can_foresee_it_costs_nothing(state: float, share: float) -> None:
+    """Every other inverter is dark for three cycles, and then the others are."""
+    turns = np.arange(120)[:, None] // 3 + np.arange(4)
+    mpp_kw = np.where(turns % 2, 20.0, 95.0)
+    profile = Profile(mpp_kw, np.full(120, share * mpp_kw[0].sum()))
+    battery = StorageSettings(
+        name="battery", rating_kw=100.0, capacity_kwh=10.0, state=state, target=1.0
+    )
+
+    def missing_kwh(*storages: StorageSettings) -> float:
+        plan = with_battery(120, storages=storages, scheme="predictive", correction=True)
+        made = run_in_memory(plan, profile)[1].produced
+        return sum(max(one.dispatch_kw - one.delivered_kw, 0.0) for one in made[20:]) / 3600.0
+
+    assert missing_kwh(battery) <= missing_kwh() + 1e-9
+
+
 FAULTS = [
     "kill=battery,at=12s",
     "freeze=battery,at=12s..25s",
