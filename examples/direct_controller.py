@@ -40,7 +40,7 @@ class DirectController(Member):
     def __init__(self, plan: dict[str, Any], node: str, endpoints: list[str]) -> None:
         self.node, self.parent = node, node.rpartition("/")[0] or "central"
         super().__init__(plan, node, ["recorder", "plant", self.parent], endpoints)
-        self.rating_kw: float = dict(plan["inverters"])[node]
+        self.rating_kw: float = dict(plan["inverters"]).get(node, 0.0)
         self.plant_rating_kw: float = sum(dict(plan["inverters"]).values())
         self.parent_period: int = plan["control"]["period_cycles"][node.count("/")]
         self.alpha_min: float = plan["control"]["alpha_min"]
@@ -184,12 +184,16 @@ class DirectController(Member):
         return found
 
     def estimate(self) -> None:
-        """Say what the inverter could give (eq. 1), and how far that is from its share."""
+        """Take up what was measured, and report."""
         telemetry, dispatch = self.inputs("telemetry", "dispatch")
         last = -1 if self.measured_cycle is None else self.measured_cycle
         if telemetry is not None and 0 <= telemetry["cycle"] <= last:
             telemetry = None  # The estimate rests on it already.
         self.measure(telemetry)
+        self.report(dispatch)
+
+    def report(self, dispatch: dict[str, Any] | None) -> None:
+        """Say what the inverter could give (eq. 1), and how far that is from its share."""
         impp_kw = 0.0 if self.is_lost(dispatch) else self.impp_kw
         residual_kw = impp_kw - (self.share_kw(dispatch) or 0.0)
         self.publish("impp", power_kw=impp_kw, stale_cycles=self.stale_cycles)

@@ -124,11 +124,8 @@ class PlantWithDevices(Plant):
         state = _measured(state, fresh, lost)
         for _, message in outputs:
             if isinstance(message, Production):
-                last = [
-                    (state.limit_kw[at], newest[at].maximum_kw)
-                    for at in lost
-                    if at in newest and at in self._limited
-                ]
+                known = [at for at in lost if at in newest and at in self._limited]
+                last = [(state.limit_kw[at], newest[at].maximum_kw) for at in known]
                 self._correct(message, state.stores, fresh, float(sum(map(min, last))))
         return state, outputs
 

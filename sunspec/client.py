@@ -21,8 +21,6 @@ from agents.device_profile import PLAIN, DeviceProfile
 from bus_schemas.errors import listed
 from sim_plant.real_inverters import Reading
 from sunspec.addresses import parse_address
-from sunspec.commanded import LONGEST_REVERT_S
-from sunspec.limited_inverter import LIMIT_POINTS
 from sunspec.modbus_tcp import (
     WRITE_SEVERAL,
     DeviceError,
@@ -31,7 +29,7 @@ from sunspec.modbus_tcp import (
     NoAnswerError,
 )
 from sunspec.models import sunspec_model
-from sunspec.set_storage import SET_POINTS
+from sunspec.simulated import LIMIT_POINTS, LONGEST_REVERT_S, SET_POINTS
 
 _MEASUREMENTS: Final = (701, 103, 102, 101, 113, 112, 111)
 _METERS: Final = (203, 204, 202, 201, 213, 214, 212, 211)

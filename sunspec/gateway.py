@@ -31,12 +31,7 @@ import msgspec
 from agents.control.storage import StorageLaw, ability
 from agents.plan import RunPlan
 from sim_plant.real_inverters import METER_PLACE, Reading
-from sunspec.client import (
-    SunSpecDevice,
-    SunSpecInverter,
-    SunSpecMeter,
-    SunSpecStorage,
-)
+from sunspec.client import SunSpecDevice, SunSpecInverter, SunSpecMeter, SunSpecStorage
 from sunspec.modbus_tcp import DeviceError, DeviceRefusedError, WrongAnswerError
 from sunspec.pipes import GatewayPipes, Limit
 from sunspec.process import DeviceAccount, Latency, log_in, write_accounts
@@ -206,8 +201,7 @@ class _Link:
             self._capacity_kwh = storage.capacity_kwh
             self._device, self._revert = SunSpecStorage(address, profile), plan.storage_revert
             follows_s = storage.follows_within_s + 2.0 * self._cycle_s
-            law = storage.law(follows_s)
-            self._excess = _Excess(follows_s, tolerance_kw, law)
+            self._excess = _Excess(follows_s, tolerance_kw, storage.law(follows_s))
             return
         self._device, self._revert = SunSpecInverter(address, profile), plan.site.revert_of(node)
         follows_s = plan.site.follows_within_s(node) + 2.0 * self._cycle_s

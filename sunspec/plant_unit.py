@@ -29,8 +29,6 @@ from bus_schemas.tree import ROOT
 from sim_plant.order_desk import FromPlant, OrderLine, PlantStatus, Reply
 from sim_plant.orders import MODBUS, is_ordered
 from sunspec.addresses import parse_address
-from sunspec.commanded import RevertS
-from sunspec.limited_inverter import LIMIT_704, Percent
 from sunspec.registers import (
     Points,
     Registers,
@@ -40,6 +38,7 @@ from sunspec.registers import (
     rating_points,
 )
 from sunspec.server import in_thread, listening
+from sunspec.simulated import LIMIT_704, Percent, RevertS
 
 _CONNECT_S: Final = 120.0
 _WRITABLE: Final = {

@@ -17,10 +17,8 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from sunspec2.device import Model
 
 from bus_schemas.errors import FailureError
-from sunspec.commanded import Commanded
-from sunspec.limited_inverter import LIMIT_POINTS, LimitedInverter
 from sunspec.models import sunspec_model
-from sunspec.set_storage import SET_POINTS, SetStorage
+from sunspec.simulated import LIMIT_POINTS, SET_POINTS, Commanded, LimitedInverter, SetStorage
 
 Points: TypeAlias = dict[int, dict[str, float | str]]
 """Points of each model of a unit, by the model's number; scale factors first."""

@@ -16,7 +16,6 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import SimDevice
 
 from bus_schemas.errors import InputError
-from sunspec.limited_inverter import LimitedInverter
 from sunspec.registers import (
     Points,
     commanded_device,
@@ -25,7 +24,7 @@ from sunspec.registers import (
     no_unit,
     storage_points,
 )
-from sunspec.set_storage import SetStorage
+from sunspec.simulated import LimitedInverter, SetStorage
 
 _MOST_UNITS = 247
 

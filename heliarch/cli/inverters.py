@@ -13,8 +13,7 @@ from heliarch.cli.options import Data, Port, Scenario, Settings, changed_scenari
 from heliarch.cli.output import Output
 from scenarios.elsewhere import read_address
 from scenarios.run_options import RunOptions, Seed, TimeOptions
-from sunspec.limited_inverter import LimitedInverter
-from sunspec.set_storage import SetStorage
+from sunspec.simulated import LimitedInverter, SetStorage
 
 
 def inverters(

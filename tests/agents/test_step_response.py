@@ -19,7 +19,7 @@ from scenarios.fault_rules import parse_fault
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 from sim_plant.real_inverters import PlantWithDevices, Reading
-from sunspec.limited_inverter import LimitedInverter, LimitSettings
+from sunspec.simulated import LimitedInverter, LimitSettings
 
 INVERTERS = {f"c{cluster}/{name}": 500.0 for cluster in (1, 2) for name in "abcd"}
 RATING_KW = sum(INVERTERS.values())

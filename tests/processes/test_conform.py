@@ -73,6 +73,16 @@ def test_the_example_controller_meets_every_requirement(tmp_path: Path) -> None:
     assert in_real_time(plant, NODE, CONTROLLER) == dict.fromkeys(REQUIREMENTS, "PASS")
 
 
+def test_the_example_controller_of_a_storage_decides_what_our_own_does(plant: str) -> None:
+    battery = "[[storage]]\nname = 'battery'\ncluster = 'c1'\nrating_kw = 100\ncapacity_kwh = 5\n"
+    with Path(plant).open("a", encoding="utf-8") as file:
+        file.write(battery)
+    command = CONTROLLER.replace("direct_controller", "storage_controller")
+    found = results(plant, "c1/battery", command)
+    assert not failed(found)
+    assert found["limits"] == "PASS"
+
+
 @pytest.mark.parametrize("agent", ["c1", pytest.param("central", marks=pytest.mark.soak)])
 def test_our_own_controllers_pass_in_their_own_place(agent: str, plant: str) -> None:
     found = results(plant, agent, OWN)

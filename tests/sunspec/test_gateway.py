@@ -18,10 +18,10 @@ from bus_schemas.messages import Command
 from sim_plant.real_inverters import Reading
 from sunspec.addresses import parse_address
 from sunspec.gateway import Gateway
-from sunspec.limited_inverter import LimitedInverter
 from sunspec.pipes import PlantPipes
 from sunspec.process import read_accounts
 from sunspec.server import Sky, served
+from sunspec.simulated import LimitedInverter
 
 PLAN = plan_of({"c1/a": 100.0}, actuator="limit", cycle_ns=50_000_000, cycle_wall_ns=50_000_000)
 

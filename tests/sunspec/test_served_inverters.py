@@ -16,10 +16,10 @@ from sunspec2.modbus.modbus import ModbusClientException
 
 from sunspec.addresses import parse_address
 from sunspec.client import SunSpecInverter, SunSpecMeter
-from sunspec.limited_inverter import LimitedInverter
 from sunspec.modbus_tcp import DeviceError
 from sunspec.registers import Points, inverter_points
 from sunspec.server import Sky, served
+from sunspec.simulated import LimitedInverter
 
 RATING_KW = 100.0
 SKY_KW = np.array([[80.0, 60.0], [90.0, 70.0]])

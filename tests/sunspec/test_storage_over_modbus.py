@@ -24,7 +24,7 @@ from sunspec.client import SunSpecStorage
 from sunspec.modbus_tcp import DeviceError
 from sunspec.process import read_accounts
 from sunspec.server import Sky, served
-from sunspec.set_storage import SetStorage
+from sunspec.simulated import SetStorage
 
 TABLE = """
 [[storage]]
