@@ -307,9 +307,10 @@ def closed_loop(
                 rating_kw[i],
                 estimates[i],
             )
-        able, most_share = state_abilities(storages, plants), inf
+        most_share = inf
         if not settings.has_help:
-            most_share = (schedule.dispatch_kw[cycle] + able.charge_kw) / plant_rating_kw
+            charge_kw = state_abilities(storages, plants).charge_kw
+            most_share = (schedule.dispatch_kw[cycle] + charge_kw) / plant_rating_kw
         report_up(tree, settings, estimates, most_share, node_impp_kw, plants)
         possible_kw = net_kw(node_impp_kw[0], settings.grid)
         read_kw = read_meters(
@@ -322,6 +323,7 @@ def closed_loop(
             known = with_reading(known, read_kw)
             for plant in range(len(known_of_plants)):
                 known_of_plants[plant] = with_reading(known_of_plants[plant], plants.read_kw[plant])
+        able = state_abilities(storages, plants)
         if cycle % tree.period[0] == 0:
             known = corrected(known, heard_kw, possible_kw, 0.0, settings.correction)
             target_kw[0], course = ask_storages(
