@@ -124,8 +124,10 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def offer_law(self) -> OfferSettings | None:
-        # Only an inverter that knows its maximum shows it where it is curtailed.
-        is_seen = self.control.actuator == "fraction" or self.site.states_all
+        # Only an inverter that knows its maximum shows it where it is curtailed; what storages add
+        # is shown by the meter.
+        is_shown = self.control.actuator == "fraction" or self.site.states_all
+        is_seen = is_shown and not self.storages
         offers = self.control.offers
         return None if offers is None else offers.law(self.timing.cycle_s, is_seen=is_seen)
 

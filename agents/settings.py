@@ -135,12 +135,6 @@ class StorageSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     def path(self) -> str:
         return f"{self.cluster}/{self.name}" if self.cluster else self.name
 
-    @property
-    def follows_within_s(self) -> float:
-        """Longest time in which it comes to obey a command [s]."""
-        ramp = self.ramp_percent_per_s
-        return self.delay_s + (200.0 / ramp if ramp is not None else 0.0)
-
     def law(self, cycle_s: float) -> StorageLaw:
         """Return the same in cycles of a length."""
         return StorageLaw(

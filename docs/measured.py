@@ -774,12 +774,12 @@ def offered_rows(runs: Runs, interval_s: int, reliability: float) -> Lines:
         return
     offered = OfferedCommitment(interval_s=interval_s, lead_s=60.0, reliability=reliability)
     for actuator in BOTH:
-        figures = promise_figures(*promised(runs, offered, actuator), cycles)
+        figures = promise_figures(*promised(runs, offered, actuator)[:4], cycles)
         yield [interval_s, reliability, actuator, *figures]
 
 
 def promised(runs: Runs, offered: OfferedCommitment, actuator: Any) -> list[Any]:
-    """Return commitment, regulation, available and clear-sky power of runs in a row, by cycle.
+    """Return commitment, regulation, available, clear-sky and given power of runs in a row.
 
     The first interval of each is left out, since nobody has offered it, and what is no whole one.
     """
@@ -797,6 +797,7 @@ def promised(runs: Runs, offered: OfferedCommitment, actuator: Any) -> list[Any]
             profile.regulation_kw,
             profile.mpp_kw.sum(axis=1),
             profile.clear_sky_kw,
+            result.power_kw.sum(axis=1) + result.storage_power_kw.sum(axis=1),
         )
         found.append([kw[whole] for kw in powers_kw])
     return [np.concatenate(one) for one in zip(*found, strict=True)]
@@ -1021,7 +1022,7 @@ def batteries(data: Path) -> Lines:
 
 # docs/storage.md
 
-PROMISE_DAYS: Final = range(1, 6)
+PROMISE_DAYS: Final = range(1, 1 + int(os.environ.get("DAYS", "30")))
 PROMISE_HOURS: Final = {"start": "08:00", "duration": "8h"}
 MINUTES: Final = (0, 5, 15, 60)
 
@@ -1052,6 +1053,20 @@ def firm_percent(days: Sequence[Preparation], missed: Callable[[Preparation, flo
         is_kept = np.mean(shares_missed <= MISSED_SHARE) >= 0.95
         kept, lost = (percent, lost) if is_kept else (kept, percent)
     return kept
+
+
+def stored_offers() -> Lines:
+    """Write how often offers were kept by what the plant gave, without and with its battery."""
+    days = [offered_run("oahu-storage", "07:00", "10h", seed) for seed in PROMISE_DAYS]
+    yield ["actuator", "battery", "intervals", "kept %", "promised %"]
+    for actuator, battery in product(BOTH, ("none", "2 MW, 500 kWh")):
+        runs = days if battery != "none" else [(replace_fields(p, storages=()), q) for p, q in days]
+        powers_kw = promised(runs, OfferedCommitment(lead_s=60.0), actuator)
+        offered, _, available, _, given = (kw.reshape(-1, 900) for kw in powers_kw)
+        missed = np.maximum(offered - given, 0.0).sum(axis=1) / offered.sum(axis=1)
+        kept = f"{100 * np.mean(missed <= MISSED_SHARE):.1f}"
+        part = f"{100 * offered.sum() / available.sum():.1f}"
+        yield [actuator, battery, len(offered), kept, part]
 
 
 def hard_promises() -> Lines:
@@ -1098,7 +1113,6 @@ def missed_under(day: Preparation, share: float, minutes: int = 0, *, has_help: 
 
 # docs/fleet.md
 
-FLEET_DAYS: Final = range(1, 1 + int(os.environ.get("DAYS", "30")))
 LINKS_MS: Final = (50, 200, 1000)
 REPORTS: Final = ("impp", "residual")
 
@@ -1114,7 +1128,7 @@ def fleet_days(places: Sequence[int]) -> list[Preparation]:
             RunOptions(seed=seed + SEEDS_APART * places[0], **PROMISE_HOURS),
             "fleet",
         )
-        for seed in FLEET_DAYS
+        for seed in PROMISE_DAYS
     ]
     return [replace(day, plan=replace_fields(day.plan, storages=())) for day in days]
 
@@ -1168,7 +1182,11 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "unavoidable": unavoidable,
     },
     "offers.md": {"offers": offers},
-    "storage.md": {"firm promise": firm_promises, "hard skies": hard_promises},
+    "storage.md": {
+        "firm promise": firm_promises,
+        "hard skies": hard_promises,
+        "offers": stored_offers,
+    },
     "fleet.md": {"pooling": pooling, "links": links_between_plants},
     "orders.md": {"commissioning": commissioning},
     "clusters.md": {

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from math import isfinite, isnan, nan
 from typing import Final, NamedTuple
 
-from sunspec2.device import Point
+from sunspec2.device import Model, Point
 
 from agents.device_profile import PLAIN, DeviceProfile
 from bus_schemas.errors import listed
@@ -28,7 +28,7 @@ from sunspec.modbus_tcp import (
     ModbusLink,
     NoAnswerError,
 )
-from sunspec.models import sunspec_model
+from sunspec.registers import NO_MEMBERS
 from sunspec.simulated import LIMIT_POINTS, LONGEST_REVERT_S, SET_POINTS
 
 _MEASUREMENTS: Final = (701, 103, 102, 101, 113, 112, 111)
@@ -62,7 +62,7 @@ class DeviceModel:
         self._link, self._first, self._length = link, first, length
         self._head = struct.pack(">HH", number, length)
         self._swaps = order == "low"
-        self._model = sunspec_model(number)
+        self._model = Model(number, data=NO_MEMBERS)
         self._data = b""
 
     def is_there(self) -> bool:

@@ -200,7 +200,8 @@ class _Link:
             (storage,) = (one for one in plan.storages if one.path == node)
             self._capacity_kwh = storage.capacity_kwh
             self._device, self._revert = SunSpecStorage(address, profile), plan.storage_revert
-            follows_s = storage.follows_within_s + 2.0 * self._cycle_s
+            ramp_s = 2.0 * storage.rating_kw / storage.law(1.0).ramp_kw  # From charge to discharge.
+            follows_s = storage.delay_s + ramp_s + 2.0 * self._cycle_s
             self._excess = _Excess(follows_s, tolerance_kw, storage.law(follows_s))
             return
         self._device, self._revert = SunSpecInverter(address, profile), plan.site.revert_of(node)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from math import ceil, inf, log10, sqrt
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias
 
 import msgspec
 from pymodbus.constants import ExcCodes
@@ -17,19 +17,20 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from sunspec2.device import Model
 
 from bus_schemas.errors import FailureError
-from sunspec.models import sunspec_model
 from sunspec.simulated import LIMIT_POINTS, SET_POINTS, Commanded, LimitedInverter, SetStorage
 
 Points: TypeAlias = dict[int, dict[str, float | str]]
 """Points of each model of a unit, by the model's number; scale factors first."""
+
+COUNTS: Final = ("NPrt", "NCrv", "NCrvSet", "NCtl", "NStr", "NMod", "NProf", "IVLen")
+NO_MEMBERS: Final = dict.fromkeys(COUNTS, 0)
+"""The points that count members of groups: without one pysunspec2 makes no model with groups."""
 
 FIRST_ADDRESS: Final = 40_000
 _SUNS: Final = b"SunS"
 _END: Final = b"\xff\xff\x00\x00"
 _VOLTS: Final = 480.0
 _UNSIGNED: Final = 65_535
-
-D = TypeVar("D", bound=Commanded)
 
 _OFF, _SLEEPING, _RUNNING, _THROTTLED = 1, 2, 4, 5
 """States of model 103; those of 701 are one less."""
@@ -59,7 +60,7 @@ class Registers:
         self._models: dict[int, Model] = {}
         image = bytearray(_SUNS)
         for number, values in points().items():
-            model = sunspec_model(number)
+            model = Model(number, data=NO_MEMBERS)
             self._models[FIRST_ADDRESS + len(image) // 2] = model
             model.set_dict(values, computed=True)
             image += model.get_mb()
@@ -132,10 +133,10 @@ def no_unit() -> SimDevice:
 def commanded_device(
     unit: int,
     name: str,
-    device: D,
+    device: Commanded,
     now: Callable[[], float],
     on_write: Callable[[], None],
-    points: Callable[[D, float], Points],
+    points: Callable[[Any, float], Points],
 ) -> SimDevice:
     """Return a simulated inverter or storage with a path in the control tree as a Modbus unit.
 

@@ -82,10 +82,8 @@ def served(
     def device(unit: int, name: str) -> SimDevice:
         if name == "meter":
             return meter_device(unit, simulated.values(), now)
-        one = simulated[name]
-        if isinstance(one, SetStorage):
-            return commanded_device(unit, name, one, now, begin_sky, storage_points)
-        return commanded_device(unit, name, one, now, begin_sky, points)
+        shown = storage_points if isinstance(simulated[name], SetStorage) else points
+        return commanded_device(unit, name, simulated[name], now, begin_sky, shown)
 
     devices = {name: device(unit, name) for unit, name in enumerate(names, start=1)}
     with in_thread(listening(devices, host, port)) as addresses:

@@ -307,10 +307,8 @@ def closed_loop(
                 rating_kw[i],
                 estimates[i],
             )
-        most_share = inf
-        if not settings.has_help:
-            charge_kw = state_abilities(storages, plants).charge_kw
-            most_share = (schedule.dispatch_kw[cycle] + charge_kw) / plant_rating_kw
+        charge_kw = inf if settings.has_help else state_abilities(storages, plants).charge_kw
+        most_share = (schedule.dispatch_kw[cycle] + charge_kw) / plant_rating_kw
         report_up(tree, settings, estimates, most_share, node_impp_kw, plants)
         possible_kw = net_kw(node_impp_kw[0], settings.grid)
         read_kw = read_meters(

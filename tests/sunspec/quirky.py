@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from sunspec2.device import Model
 
-from sunspec.models import sunspec_model
+from sunspec.registers import NO_MEMBERS
 
 RATING_W, SUN_W = 100_000.0, 80_000.0
 
@@ -77,7 +77,7 @@ class Quirky:
     requests: int = 0
 
     def __enter__(self) -> Self:
-        self._models = {number: sunspec_model(number) for number in self.models}
+        self._models = {number: Model(number, data=NO_MEMBERS) for number in self.models}
         self._at: dict[int, int] = {}
         image = b"SunS"
         for number, points in self.models.items():

@@ -16,6 +16,7 @@ from agents.settings import (
     Actuator,
     GridSettings,
     InverterSettings,
+    OfferedCommitment,
     Scheme,
     StorageHelp,
     StorageSettings,
@@ -24,6 +25,7 @@ from recordings.read.series import RunSeries
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
 from scenarios.settings import with_settings
+from sim_plant.profile import Profile
 from studies.arrays.closed_loop import LoopResult, closed_loop, loop_inputs, run_loop
 from studies.arrays.compiled import compiled
 from studies.arrays.schemes import run_scheme
@@ -274,3 +276,26 @@ def test_where_nothing_can_be_written_functions_are_compiled_all_the_same(
     monkeypatch.setattr(numba.config, "CACHE_LOCATOR_CLASSES", "UserProvidedCacheLocator")
     monkeypatch.setattr(numba.config, "CACHE_DIR", "/dev/null/nowhere")
     assert compiled(twice)(3.0) == 6.0
+
+
+@pytest.mark.parametrize("actuator", get_args(Actuator))
+def test_offers_count_on_what_a_storage_gives(oahu: Preparation, actuator: Actuator) -> None:
+    """A shadow of ten seconds darkens each minute; a battery can give what it takes away."""
+    cycles, rating_kw = 3600, oahu.plan.tree.rating_kw("")
+    share = np.where(np.arange(cycles) % 60 < 10, 0.4, 0.9)
+    parts = np.array([kw for _, kw in oahu.plan.inverters])
+    zeros = np.zeros(cycles)
+    profile = Profile(
+        np.outer(share, parts), zeros, regulation_kw=zeros, clear_sky_kw=zeros + rating_kw
+    )
+    plan = with_changes(oahu.plan, cycles=cycles, offers=OfferedCommitment(interval_s=60, lead_s=5))
+    battery = StorageSettings(name="battery", rating_kw=rating_kw / 4, capacity_kwh=rating_kw / 4)
+    without, with_it = (
+        run_loop(replace_struct(plan, storages=storages), profile, "predictive", actuator)
+        for storages in ((), (battery,))
+    )
+    assert with_it.commitment_kw[-1] > 1.2 * without.commitment_kw[-1]
+    given_kw = with_it.power_kw.sum(axis=1) + with_it.storage_power_kw.sum(axis=1)
+    missed = np.maximum(with_it.commitment_kw - given_kw, 0.0)[1800:].reshape(-1, 60).sum(axis=1)
+    promised = with_it.commitment_kw[1800:].reshape(-1, 60).sum(axis=1)
+    assert np.mean(missed <= 0.01 * promised) >= 0.9
