@@ -97,7 +97,8 @@ def _hard_minutes(series: RunSeries) -> Iterator[HardMinute]:
     """Yield the minutes in which most would have been missed without help, the worst first."""
     hours = series.cycle_s / 3600.0
     missing_kw = np.maximum(series.desired_kw - series.without_help_kw, 0.0)
-    missing_kw = np.where(series.known & np.isfinite(missing_kw), missing_kw, 0.0)
+    counts = series.known & np.isfinite(missing_kw) & (series.desired_kw > 0.0)
+    missing_kw = np.where(counts, missing_kw, 0.0)
     missed_kw = np.where(series.known, series.shortfall_kw, 0.0)
     span = max(1, round(60.0 / series.cycle_s))
     begins = np.arange(0, series.cycles, span)

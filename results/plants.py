@@ -33,7 +33,7 @@ _COLUMNS: Final = (
     key_column("plant", "name"),
     Column("rating", "kW", 0, name="rating_kw"),
     Column("available", "kWh", 1, name="available_kwh"),
-    Column("delivered", "kWh", 1, name="delivered_kwh"),
+    Column("delivered", "kWh", 2, name="delivered_kwh"),
     Column("above its share", "kWh", 2, name="above_kwh"),
     Column("below its share", "kWh", 2, name="below_kwh"),
     Column("highest", "kW", 1, name="highest_kw"),
@@ -56,7 +56,7 @@ def plant_figures(series: RunSeries) -> Iterator[PlantFigures]:
             delivered_kwh=float(fed_in_kw.sum()) * hours,
             above_kwh=float(np.maximum(beyond_kw, 0.0).sum()) * hours,
             below_kwh=float(np.maximum(-beyond_kw, 0.0).sum()) * hours,
-            highest_kw=float(fed_in_kw.max(initial=0.0)),
+            highest_kw=float(fed_in_kw.max()) if fed_in_kw.size else 0.0,
         )
 
 

@@ -55,7 +55,6 @@ def summary_table(summary: RunDocument) -> Table:
             _GAP,
             *_process_rows(summary),
         ),
-        summary.remarks,
     )
 
 

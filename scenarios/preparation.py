@@ -271,6 +271,10 @@ def _fleet_day(
         ),
         plants=tuple((one.name, one.export_limit_kw) for one in plants),
     )
+    noted: dict[str, list[str]] = {}
+    for member, day in days:
+        for one in day.remarks:
+            noted.setdefault(one, []).append(member.entry.name)
     of_plants = (
         replace(hood, node=member.path(hood.node))
         for member, day in days
@@ -286,7 +290,7 @@ def _fleet_day(
         neighbourhoods=(*of_plants, between([day.history_kw for day in parts])),
         history_kw={},
         clear_sky_kw=lambda when: np.sum([day.clear_sky_kw(when) for day in parts], axis=0),
-        remarks=tuple(f"{member.entry.name}: {one}" for member, day in days for one in day.remarks),
+        remarks=tuple(f"{', '.join(names)}: {one}" for one, names in noted.items()),
         settings=tuple(one for member, _ in days for one in member.settings()),
         storages=storages,
         plants=plants,

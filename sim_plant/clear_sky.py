@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 import pandas as pd
 
+from bus_schemas.errors import listed
 from sim_plant import Floats, imported_when_used
 
 if TYPE_CHECKING:
@@ -144,9 +145,13 @@ def _of_sensors(ghi_wm2: pd.DataFrame) -> Iterator[str]:
         longest, value = _longest_run(values[:, at])
         if longest >= _STUCK_VALUES and longest * step_min >= _STUCK_MIN and value > 50.0:
             yield f"{name} shows {value:g} W/m2 for {longest * step_min:.0f} min: stuck?"
-        for other in range(at):
-            if np.ptp(values[:, at]) > 1.0 and np.array_equal(values[:, at], values[:, other]):
-                yield f"{names[other]} and {name} are equal throughout: one sensor twice?"
+    alike: dict[bytes, list[str]] = {}
+    for at, name in enumerate(names):
+        if np.ptp(values[:, at]) > 1.0:
+            alike.setdefault(values[:, at].tobytes(), []).append(name)
+    for group in alike.values():
+        if len(group) > 1:
+            yield f"{listed(group)} are equal throughout: one sensor twice?"
 
 
 def _longest_run(values: Floats) -> tuple[int, float]:

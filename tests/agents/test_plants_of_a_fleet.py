@@ -11,6 +11,7 @@ import pytest
 
 from bus_schemas.messages import Dispatch, Message, Meter
 from bus_schemas.signals import DISPATCH, METER
+from heliarch import open_run
 from recordings.inspect.agent_states import states_of
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
@@ -110,3 +111,19 @@ def test_a_plant_keeps_its_ramp_limit_at_its_own_meter(tmp_path: Path) -> None:
     assert steps_kw["quick"].max() > 1000.0
     assert steps_kw["slow"].max() < 3000.0 / 60.0 * 1.1
     assert read["slow/meter"][-1] > 3400.0
+
+
+def test_a_night_is_warned_of_once_and_has_no_hard_minute(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    night = ("--from", "23:00", "--duration", "5s", "--out", out)
+    printed = command_line.done("simulate", "fleet", *night)
+    assert printed.count("without any sun") == 1
+    assert "west, north, east: warning" in printed
+    assert "lacking" not in printed
+    plants = {one.name: one for one in open_run(out).summary.plants}
+    assert plants["east"].highest_kw < 0.0, "it takes what is lost on its way"
+    (row,) = (line.split() for line in printed.splitlines() if line.startswith("east "))
+    assert (float(row[3]), float(row[6])) == pytest.approx(
+        (plants["east"].delivered_kwh, plants["east"].highest_kw), abs=0.05
+    )
+    assert float(row[3]) < 0.0

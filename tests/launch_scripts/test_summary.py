@@ -86,10 +86,6 @@ def test_a_row_tells_what_the_run_defines(
     assert all(part in cell for part, cell in zip(cells or (), rows.get(row, ()), strict=False))
 
 
-def test_remarks_on_the_data_stand_below_the_table() -> None:
-    assert summary_table(replace(SUMMARY, remarks=("hindsight",))).notes == ("hindsight",)
-
-
 def wrong(cause: str, count: int, publisher: str) -> WrongMessages:
     return WrongMessages(f"{publisher}/impp", cause, count, "it is odd", publisher)
 
