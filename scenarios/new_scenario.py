@@ -101,7 +101,8 @@ def measured_scenario(
         )
     is_guess = not (table.is_zoned or form.timezone)
     if is_guess:
-        form = replace(form, timezone=_guessed_zone(table, stations, positions, form))
+        zone, is_told = _guessed_zone(table, stations, positions, form)
+        form = replace(form, timezone=zone)
     found = measured_ghi(table, positions, positions_csv.name, stations, LONGEST_S, form)
     text = f"# {origin}\n" if origin else ""
     text += _text(table, found, positions_csv, out, form)
@@ -115,7 +116,10 @@ def measured_scenario(
         if names - set(stations)
     ]
     if is_guess:
-        remarks.append(f"--timezone was not given: the sun's path fits {form.timezone} best")
+        minutes = (found.times[-1] - found.times[0]).total_seconds() / 60.0
+        guess = f"it cannot be told from these {minutes:,.0f} min; assumed {zone}"
+        told = f"the sun's path fits {zone} best" if is_told else guess
+        remarks.append(f"--timezone was not given: {told}")
     if not found.ghi_wm2.to_numpy().any():
         remarks.append(f"the GHI in {ghi_csv.name} is 0 throughout: the plant has no power")
     return text, found, [*remarks, *prepared.remarks]
@@ -128,7 +132,7 @@ def _quoted(value: object) -> str:
 
 def _guessed_zone(
     table: CsvTable, stations: Sequence[str], positions: pd.DataFrame, form: StatedForm
-) -> str:
+) -> tuple[str, bool]:
     some = slice(None, None, len(table.fields) // _MOST_SHOWN + 1)
     fields, stamps = table.fields.iloc[some], table.stamps.iloc[some]
     table = dataclasses.replace(table, fields=fields, stamps=stamps, notes=[])

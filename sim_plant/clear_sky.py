@@ -21,6 +21,9 @@ _BRIGHT_WM2: Final = 100.0
 _MOST: Final = 10_000
 """Values that are looked at: of longer files every second one, or fewer."""
 
+_CLEARLY: Final = 0.02
+"""Share of the energy above a clear sky by which one zone fits better than another."""
+
 _EDGES_S: Final = 300.0
 _STUCK_VALUES: Final = 20
 _STUCK_MIN: Final = 10.0
@@ -64,16 +67,27 @@ def stamps_by_sun(
     return "begin", "which the file does not say (irradiance.stamps)"
 
 
-def zone_by_sun(naive: pd.DatetimeIndex, ghi_wm2: Floats, coordinates: pd.DataFrame) -> str:
-    """Guess the zone of time stamps without an offset: UTC, or the standard time of the place."""
-    hours = round(float(coordinates["lon"].mean()) / 15.0)
-    local = f"Etc/GMT{-hours:+d}" if hours else "UTC"
+def zone_by_sun(
+    naive: pd.DatetimeIndex, ghi_wm2: Floats, coordinates: pd.DataFrame
+) -> tuple[str, bool]:
+    """Guess the zone of time stamps without an offset; tell whether one fits better than others.
+
+    If none does, it is UTC or the standard time of the place.
+    """
+    local = round(float(coordinates["lon"].mean()) / 15.0)
     part = slice(None, None, len(naive) // _MOST + 1)
+    excess = {
+        hours: _excess(ghi_wm2[part], clear_ghi(naive[part].tz_localize(_zone(hours)), coordinates))
+        for hours in {0, local, max(local - 1, -12), local + 1}
+    }
+    first, second = sorted(excess, key=excess.__getitem__)[:2]
+    if excess[first] < excess[second] - _CLEARLY:
+        return _zone(first), True
+    return _zone(0 if excess[0] < excess[local] - _CLEARLY else local), False
 
-    def excess(zone: str) -> float:
-        return _excess(ghi_wm2[part], clear_ghi(naive[part].tz_localize(zone), coordinates))
 
-    return "UTC" if excess("UTC") < excess(local) - 0.02 else local
+def _zone(hours: int) -> str:
+    return f"Etc/GMT{-hours:+d}" if hours else "UTC"  # POSIX counts west as positive.
 
 
 def _excess(ghi_wm2: Floats, clear_wm2: Floats) -> float:

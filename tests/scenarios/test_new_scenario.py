@@ -124,13 +124,20 @@ def test_the_names_of_stations_are_kept_and_those_of_inverters_are_made_from_the
 
 def doubts(folder: Path, ghi: pd.DataFrame, lat: float = 35.05, lon: float = -106.5) -> str:
     """Return the warnings on a day of irradiance."""
+    return remarks_on(folder, ghi, "warning: ghi.csv", lat, lon)
+
+
+def remarks_on(
+    folder: Path, ghi: pd.DataFrame, begin: str, lat: float = 35.05, lon: float = -106.5
+) -> str:
+    """Return what is said of irradiance in lines that begin so."""
     ghi.round(2).to_csv(folder / "ghi.csv", index_label="time")
     lines = (f"{name},{lat + 0.001 * at},{lon}" for at, name in enumerate(ghi.columns))
     positions = "\n".join(["station,lat,lon", *lines, ""])
     (folder / "positions.csv").write_text(positions, encoding="utf-8")
     files = folder / "positions.csv", folder / "ghi.csv"
     _, _, remarks = measured_scenario(*files, folder / "plant.toml", StatedForm(stamps="begin"))
-    return "; ".join(one for one in remarks if one.startswith("warning: ghi.csv"))
+    return "; ".join(one for one in remarks if one.startswith(begin))
 
 
 def a_day(lat: float = 35.05, lon: float = -106.5) -> pd.DataFrame:
@@ -161,6 +168,23 @@ def test_stuck_dead_shaded_and_twin_sensors_are_named(tmp_path: Path) -> None:
     twins = a_day().assign(p2=lambda day: day["p1"], p4=lambda day: day["p1"])
     assert doubts(tmp_path, twins).count("equal") == 1
     assert "p1, p2, p4 are equal" in doubts(tmp_path, twins)
+
+
+@pytest.mark.parametrize(
+    ("rows", "offset_h", "said"),
+    [
+        (slice(None), -7, "fits Etc/GMT+7 best"),
+        (slice(None), -6, "fits Etc/GMT+6 best"),
+        (slice(None), 0, "fits UTC best"),
+        (slice(144, 147), -6, "from these 10 min; assumed Etc/GMT+7"),
+        (slice(100, 160), -6, "from these 295 min; assumed Etc/GMT+7"),
+    ],
+)
+def test_a_zone_is_by_the_suns_path_only_where_that_tells_it(
+    tmp_path: Path, rows: slice, offset_h: int, said: str
+) -> None:
+    ghi = a_day().iloc[rows].shift(freq=f"{offset_h}h").tz_localize(None)
+    assert said in remarks_on(tmp_path, ghi, "--timezone was not given")
 
 
 def test_a_column_without_a_name_is_not_said_to_be_left_out(tmp_path: Path) -> None:
