@@ -45,7 +45,7 @@ def diff_runs(paths: tuple[Path, Path]) -> Result:
     document |= {name: json_rows(table) for name, table in zip(names, tables, strict=True)}
     document |= {"compared": found.compared, "messages": found.messages, "equal": found.equal}
     title = " and ".join(_name(path) for path in paths)
-    result = runs_result(title, series, tables, lines, document)
+    result = runs_result(title, series, tables, lines, document, names_gaps=False)
     return replace(result, verdict=(found.equal, found.verdict))
 
 
@@ -88,7 +88,7 @@ def _read_both(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:
             lines.append(f"{label}: {path}, run {reader.plan.run_id}. {run_line(reader.plan)}")
             series.append(replace(series_of(reader), label=label))
     cycles = min(one.cycles for one in series)
-    lengths = [int(one.known.sum()) for one in series]
+    lengths = [(int(one.known.sum()), one.plan.timing.cycles) for one in series]
     first, second = (one.between(0, cycles) for one in series)
     if first.inverters != second.inverters:
         raise InputError(f"{paths[1]}: expected the inverters of {paths[0]}, got others")
@@ -99,9 +99,10 @@ def _read_both(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:
     both = first.known & second.known
     if not both.any():
         raise InputError(f"{paths[1]}: expected a cycle that {paths[0]} has recorded too, got none")
-    if both.sum() < max(lengths):
-        of = f"A has {lengths[0]:,}, B has {lengths[1]:,}"
-        lines.append(f"{both.sum():,} cycles are compared, which both have recorded: {of}.")
+    if both.sum() < max(planned for _, planned in lengths):
+        of = [f"{known:,} of {planned:,}" for known, planned in lengths]
+        which = f"which both have recorded: A has {of[0]}, B has {of[1]}"
+        lines.append(f"{both.sum():,} cycles are compared, {which}.")
     first, second = series = [_only(one, both) for one in (first, second)]
     if any(_differ(first, second, name).any() for name in _GIVEN):
         lines.append("Sky or dispatch differ: figures of available power and regulation show A's.")

@@ -125,12 +125,15 @@ def runs_result(
     document: object = None,
     *,
     marks: Sequence[Mark] = (),
+    names_gaps: bool = True,
 ) -> Result:
     """Return one run, or several of the same plant in the same cycles, each with its own label.
 
     marks: What happened in the run, marked in the figures over time.
+    names_gaps: Say how many cycles are not in the recording.
     """
-    lines = [*lines, *_cycle_lines(series)]
+    lines = [*lines, f"{series[0].rating_kw:,.0f} kW AC rating. {when(series[0])}, local time."]
+    lines += _gap_lines(series) if names_gaps else ()
     return Result(title, tables, document, lines=lines, figures=partial(_figures, series, marks))
 
 
@@ -168,28 +171,25 @@ def run_line(plan: RunPlan) -> str:
     pace = "lockstep"
     if not plan.timing.lockstep:
         pace = f"pace {plan.timing.cycle_ns / plan.timing.cycle_wall_ns:g}"
+    sky = "measured irradiance" if plan.site.seed is None else f"seed {plan.site.seed}"
     parts = (
         f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')} in {clusters}",
         f"scheme {plan.control.scheme}",
         f"actuator {plan.control.actuator}",
         pace,
-        "measured irradiance" if plan.site.seed is None else f"seed {plan.site.seed}",
+        *(() if plan.plants else (sky,)),  # Each plant of a fleet has a sky of its own.
     )
     return ", ".join(parts) + "."
 
 
-def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
-    """Say which time the runs cover, and whether cycles of them are missing."""
-    first = series[0]
-    lines = [f"{first.rating_kw:,.0f} kW AC rating. {when(first)}, local time."]
+def _gap_lines(series: Sequence[RunSeries]) -> Iterator[str]:
     for one in series:
         known, planned = int(one.known.sum()), one.plan.timing.cycles
         if known < planned:
-            lines.append(
+            yield (
                 f"{one.label}: {known:,} of {planned:,} cycles have dispatch and production in the "
                 "recording. The others are gaps in the figures and do not count in the tables."
             )
-    return lines
 
 
 def _figures(series: Sequence[RunSeries], marks: Sequence[Mark]) -> list[ReportFigure]:

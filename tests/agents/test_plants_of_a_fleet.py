@@ -16,6 +16,7 @@ from recordings.inspect.agent_states import states_of
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
 from results.figures import run_figures
+from results.report.run_report import run_line
 from results.two_runs import with_and_without_help
 
 RATINGS_KW = {"west": 8000.0, "north": 5500.0, "east": 8000.0}
@@ -120,7 +121,9 @@ def test_a_night_is_warned_of_once_and_has_no_hard_minute(tmp_path: Path) -> Non
     assert printed.count("without any sun") == 1
     assert "west, north, east: warning" in printed
     assert "lacking" not in printed
-    plants = {one.name: one for one in open_run(out).summary.plants}
+    run = open_run(out)
+    assert "seed" not in run_line(run.plan), "each plant has one of its own"
+    plants = {one.name: one for one in run.summary.plants}
     assert plants["east"].highest_kw < 0.0, "it takes what is lost on its way"
     (row,) = (line.split() for line in printed.splitlines() if line.startswith("east "))
     assert (float(row[3]), float(row[6])) == pytest.approx(

@@ -32,7 +32,7 @@ def run(tmp_path: Path) -> Path:
     folder = tmp_path / "first"
     folder.mkdir()
     less = with_production(20, 7, inverter_power_kw=(40.0, 80.0, 55.0, 59.0))
-    write_run(folder / "run.mcap", less)
+    write_run(folder / "run.mcap", less, plan=with_changes(PLAN, cycles=20))
     return folder
 
 
@@ -55,7 +55,7 @@ SKY = ("production, inverter_mpp_kw", "c1/b", 3, "12:00:03", 90.0, 95.0)
             [],
             6,
             0.0,
-            "A has 20, B has 6",
+            "A has 20 of 20, B has 6 of 6",
         ),
         (
             whole_run(20),
@@ -63,7 +63,7 @@ SKY = ("production, inverter_mpp_kw", "c1/b", 3, "12:00:03", 90.0, 95.0)
             [],
             16,
             0.0,
-            "A has 20, B has 16",
+            "A has 20 of 20, B has 16 of 20",
         ),
     ],
     ids=["another command", "another sky", "shorter", "with a gap"],
@@ -79,12 +79,14 @@ def test_two_runs_stand_side_by_side_with_their_differences(
     said: str,
 ) -> None:
     document, page, other = (tmp_path / name for name in ("x.json", "x.html", "other.mcap"))
-    write_run(other, deliveries, is_kept=lambda pair: pair[1].cycle not in left_out)
+    plan = with_changes(PLAN, cycles=6 if cycles == 6 else 20)
+    write_run(other, deliveries, plan=plan, is_kept=lambda pair: pair[1].cycle not in left_out)
     answer = heliarch("diff", run, other, "--json", document, "--report", page)
     text = " ".join(answer.output.split())
     assert answer.exit_code == 1
     assert said in text
     assert "bit for bit" not in text
+    assert "gaps" not in text, "A is whole"
     assert ("equal as far as compared" in text) == (not differences)
     found = json.loads(document.read_bytes())
     columns = ("message", "node", "cycle", "time", "A", "B")
