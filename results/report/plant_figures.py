@@ -61,7 +61,7 @@ def plant_power(series: Sequence[RunSeries]) -> style.ReportFigure:
     return style.ReportFigure(
         "power",
         "Power of the plant",
-        "The shaded area is what all inverters could have given, the dashed line what was asked. "
+        "The shaded area is what the plant could have fed in, the dashed line what was asked. "
         "Below, on an axis of its own: delivered less dispatched power. Grey is what the sky "
         f"denied, in {short:.1f} % of the cycles; no controller could have given it.",
         figure,
