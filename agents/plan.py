@@ -90,7 +90,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         tree, cycle_s = self.tree, self.timing.cycle_s
         found = {ROOT: self.grid.law(tree.rating_kw(ROOT), cycle_s)}
         for one in self.plants:
-            law = one.grid.law(tree.inverters_kw(one.name), cycle_s)
+            turn_s = cycle_s * self.control.periods.cycles[depth(one.name)]
+            law = one.grid.law(tree.inverters_kw(one.name), turn_s)
             limits_kw = -tree.storage_kw(one.name), tree.rating_kw(one.name)
             found[one.name] = law._replace(pmin_kw=limits_kw[0], pmax_kw=limits_kw[1])
         return found

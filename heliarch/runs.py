@@ -73,6 +73,7 @@ class RunKeywords(TimeKeywords, total=False):
     on: str | Iterable[str] | None
     cpus: str | Iterable[str] | None
     priority: int | None
+    split: str | None
 
 
 Recording: TypeAlias = str | Path | Run

@@ -23,6 +23,7 @@ from agents.settings import InverterSettings
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND
+from bus_schemas.tree import ROOT
 from sim_plant.inverters import PlantState
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
@@ -138,7 +139,7 @@ class PlantWithDevices(Plant):
                     continue
                 stated_kw = reading.available_kw
                 message.available_kw = None if isnan(stated_kw) else stated_kw
-            if isinstance(message, Meter) and self._has_meter:
+            if isinstance(message, Meter) and port.node == ROOT and self._has_meter:
                 if METER_PLACE not in fresh:
                     continue
                 message.power_kw = fresh[METER_PLACE].power_kw

@@ -1,4 +1,4 @@
-"""A run that is asked to end: by Ctrl-C, or by SIGTERM as `docker stop` and systemd send it."""
+"""A run that is asked to end: by Ctrl-C, or by SIGTERM as `docker stop` sends it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import inf
 from types import FrameType
+from typing import Final
+
+ONCE_S: Final = 1.0
+"""Signals so soon after each other count as one: `timeout` sends two."""
 
 
 class Interruption:
@@ -14,9 +19,15 @@ class Interruption:
 
     def __init__(self) -> None:
         self.count = 0
+        self._asked_at = -inf
 
     def __bool__(self) -> bool:
         return self.count > 0
+
+    def ask(self) -> None:
+        now = time.monotonic()
+        if now >= self._asked_at + ONCE_S:
+            self.count, self._asked_at = self.count + 1, now
 
     def wait(self, seconds: float) -> None:
         until = time.monotonic() + seconds
@@ -30,7 +41,7 @@ def interruptible() -> Iterator[Interruption]:
     interruption = Interruption()
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
-        interruption.count += 1
+        interruption.ask()
 
     before = {
         number: signal.signal(number, interrupt)

@@ -18,6 +18,7 @@ from typing import Any, Final, NoReturn
 
 from cyclopts.exceptions import CycloptsError, MissingArgumentError, UnusedCliTokensError
 
+from agents.process.interruption import ONCE_S
 from bus_schemas.errors import FailureError, InputError, InputWarning, listed, printable
 
 BEGAN_AT: Final = time.monotonic()
@@ -31,9 +32,6 @@ INTERRUPTED: Final = 130
 
 A run that SIGTERM asked to end has this status too, since it ends like one after Ctrl-C.
 """
-
-_ONCE_S: Final = 1.0
-"""Signals so soon after each other count as one: `timeout` sends two."""
 
 _IMPORTING: Final = "<frozen importlib._bootstrap>"
 _IMPORT_S: Final = 0.02
@@ -129,7 +127,7 @@ def _handler() -> Callable[[int, FrameType | None], None]:
         if _imports(frame):
             signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
             signal.setitimer(signal.ITIMER_REAL, _IMPORT_S)
-        elif time.monotonic() >= raised_at + _ONCE_S:
+        elif time.monotonic() >= raised_at + ONCE_S:
             raised_at = time.monotonic()
             raise _Interrupt if number == signal.SIGINT else SystemExit(128 + number)
 

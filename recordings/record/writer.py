@@ -92,16 +92,19 @@ class RunWriter:
         self._to_wall_ns = self._anchor.wall(0)
         self._origin = plan, scenario, driver
         self._in_earlier_files: Counter[int] = Counter()
-        self._begin_file(path)
+        self._begin_file(path, {})
 
-    def _begin_file(self, path: Path, **run: str) -> None:
-        self.path, self._first_cycle = path, self._cycle
+    def _begin_file(self, path: Path, recorded: Mapping[int, int], **run: str) -> None:
+        """Begin a file; `recorded` counts by channel what the one before it holds."""
         self._file = path.open("xb")
+        self.path, self._first_cycle = path, self._cycle
+        self._in_earlier_files.update(recorded)
         self._writer = ChunkWriter(self._file, "heliarch", f"heliarch {version('heliarch')}")
         plan, scenario, driver = self._origin
         self._write_origin(plan, scenario, driver, run)
         self._channels = declare(self._writer, plan, recorded_ports(plan))
         self._unless_ended(self._file.flush)  # A recorder that is killed at once leaves its plan.
+        self._begun_at = self._file.tell()
 
     def add(
         self, port: Port[Message], head: Head | Message, payload: bytes, logged_ns: int
@@ -141,15 +144,15 @@ class RunWriter:
     def _is_full(self) -> bool:
         split = self._origin[0].supervision
         by_time = split.file_cycles and self._cycle >= self._first_cycle + split.file_cycles
-        return bool(by_time or (split.file_bytes and self._file.tell() >= split.file_bytes))
+        size = self._file.tell() - self._begun_at  # Without plan and schemas, which each file has.
+        return bool(by_time or (split.file_bytes and size >= split.file_bytes))
 
     def _go_on_in_next_file(self) -> None:
         self._writer.add_metadata(GOES_ON, {})
         self._writer.finish()
         self._file.close()
-        self._in_earlier_files.update(self._writer.recorded)
         first = self.path.with_name(RECORDING_NAME)
-        self._begin_file(next_path(first), **{GOES_ON: "true"})
+        self._begin_file(next_path(first), self._writer.recorded, **{GOES_ON: "true"})
 
     def close(self) -> None:
         self._unless_ended(self._writer.finish)

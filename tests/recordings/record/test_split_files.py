@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from recordings_by_hand import write_messages
 
 from agents.plan import changed
 from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import RECORDER
@@ -17,6 +19,7 @@ from live_page.follower import RunFollower
 from recordings.inspect.overview import read_through
 from recordings.read.reader import RunReader
 from recordings.read.run_file import next_path
+from recordings.record.writer import RunWriter
 from recordings.verify.verification import verify
 from scenarios.run_options import ProcessOptions
 from sim_plant.profile import PROFILE_NAME
@@ -96,3 +99,25 @@ def test_a_file_is_full_at_a_size(tmp_path: Path) -> None:
 def test_what_is_neither_a_time_nor_a_size_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="--split"):
         ProcessOptions(split=text)
+
+
+def test_a_file_holds_messages_however_small_it_is_to_be(tmp_path: Path) -> None:
+    plan = changed(WHOLE, supervision={"file_bytes": 1})
+    writer = RunWriter(tmp_path / "run.mcap", plan, "", "launch")
+    for _ in range(5):
+        writer.flush()
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+    writer.close()
+
+
+def test_a_next_file_that_cannot_be_begun_counts_no_message_twice(tmp_path: Path) -> None:
+    folder, port = tmp_path / "run", SAID[0][0]
+    folder.mkdir()
+    writer = RunWriter(folder / "run.mcap", PLAN, "", "launch", on_end=lambda _: None)
+    writer.add(port, SAID[0][1], encode(SAID[0][1]), 0)
+    last = next(message for one, message in reversed(SAID) if one is port)
+    shutil.rmtree(folder)
+    writer.add(port, last, encode(last), 0)
+    writer.flush()
+    assert writer.ended_early
+    assert (writer.number_recorded, writer.recorded.total()) == (2, 2)
