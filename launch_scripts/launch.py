@@ -42,6 +42,7 @@ from launch_scripts.view import View
 from results.run_document import RunDocument
 from scenarios.elsewhere import check_devices, listening
 from scenarios.preparation import Preparation
+from sim_plant.order_desk import SOCKET_NAME
 from sunspec.process import GatewayProcess, PlantUnitProcess
 
 _END_S: Final = 5.0
@@ -388,3 +389,5 @@ def run_as_processes(
             with suppress(OSError):  # The disk may be full: that must not hide the failure.
                 folder.failure.write_text(f"{failure}\n", encoding="utf-8")
             raise
+        finally:  # A plant that was killed has left it.
+            (folder.path / SOCKET_NAME).unlink(missing_ok=True)

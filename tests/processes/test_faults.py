@@ -59,6 +59,7 @@ def test_a_killed_plant_ends_the_run_and_is_named(run: Heliarch) -> None:
     assert run.wait() == 1
     assert f"plant (process {process.pid})" in run.error_text()
     assert "in the middle of the run" in run.error_text()
+    assert not (run.folder / "orders.sock").exists()
     assert run.recorded_cycles() > 0
 
 
