@@ -12,7 +12,7 @@ from typing import Any, Final
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ROOT
 from recordings.read.mcap_file import read_outline
-from recordings.read.run_file import RECORDING_NAME, SUMMARY_NAME, read_origin
+from recordings.read.run_file import RECORDING_NAME, SUMMARY_NAME, further_files, read_origin
 from results.run_document import Outcome, document_in, failure_in
 from scenarios.fault_rules import fault_text
 
@@ -37,7 +37,7 @@ def recordings_in(folder: Path) -> dict[str, Path]:
     """
     patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
     paths = [path for pattern in patterns for path in folder.glob(pattern)]
-    written = {path: stat.st_mtime for path in paths if (stat := _stat(path))}
+    written = {path: _written_at(path) for path in paths if _stat(path)}
     paths = sorted(written, key=written.__getitem__, reverse=True)
     return {path.parent.relative_to(folder).as_posix().replace("/", "~"): path for path in paths}
 
@@ -47,6 +47,12 @@ def _stat(path: Path) -> os.stat_result | None:
     with suppress(OSError):
         return path.stat()
     return None
+
+
+def _written_at(recording: Path) -> float:
+    """Return when a recording grew last, in the first or a further file."""
+    files = (recording, *(path for _, path in further_files(recording)))
+    return max((stat.st_mtime for path in files if (stat := _stat(path))), default=0.0)
 
 
 def run_list(folder: Path) -> dict[str, Any]:
@@ -68,11 +74,12 @@ def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
     found, why_not = document_in(folder, run["run_id"])
     outcome = Outcome(found, failure_in(folder), undocumented=why_not)
     longest_s = max(_STILL_S, 3.0 * run["cycle_wall_s"])
-    is_growing = time.time() - written.st_mtime < longest_s
+    written_at = _written_at(recording)
+    is_growing = time.time() - written_at < longest_s
     return {
         "name": name,
         "state": _end(outcome, is_growing=is_growing, has_ended=has_ended),
-        "recorded_ms": written.st_mtime * 1e3,
+        "recorded_ms": written_at * 1e3,
         "start": found.sim_start if found else "",
         "simulated_s": found.cycles * found.cycle_s if found else 0.0,
         "figures": {

@@ -275,6 +275,12 @@ def _fleet_day(
     for member, day in days:
         for one in day.remarks:
             noted.setdefault(one, []).append(member.entry.name)
+
+    def feedable(powers_kw: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        limits_kw = [one.export_limit_kw for one in plants]
+        found: NDArray[np.float64] = np.sum([*map(np.minimum, powers_kw, limits_kw)], axis=0)
+        return found
+
     of_plants = (
         replace(hood, node=member.path(hood.node))
         for member, day in days
@@ -284,12 +290,12 @@ def _fleet_day(
         times=times,
         tree=with_storages(tree, storages),
         mpp_kw=np.hstack([day.mpp_kw for day in parts]),
-        available_kw=np.sum([day.available_kw for day in parts], axis=0),
+        available_kw=feedable([day.available_kw for day in parts]),
         meter_error=np.hstack([day.meter_error for day in parts]),
         lat_lon_deg=np.vstack([day.lat_lon_deg for day in parts]),
         neighbourhoods=(*of_plants, between([day.history_kw for day in parts])),
         history_kw={},
-        clear_sky_kw=lambda when: np.sum([day.clear_sky_kw(when) for day in parts], axis=0),
+        clear_sky_kw=lambda when: feedable([day.clear_sky_kw(when) for day in parts]),
         remarks=tuple(f"{', '.join(names)}: {one}" for one, names in noted.items()),
         settings=tuple(one for member, _ in days for one in member.settings()),
         storages=storages,

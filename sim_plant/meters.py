@@ -83,5 +83,5 @@ class Meters:
 
 
 def _below(name: str, paths: Sequence[str]) -> list[int]:
-    start = f"{name}/" if name else ""
-    return [at for at, path in enumerate(paths) if path.startswith(start)]
+    start = f"{name}/" if name else ""  # A plant without clusters may be a column itself.
+    return [at for at, path in enumerate(paths) if path == name or path.startswith(start)]

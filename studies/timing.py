@@ -192,6 +192,8 @@ def sweep_result(rates: Sequence[RateRow], scenario: str) -> Result:
     )
     rows = [(f"{row[0]:.4g}", *row[1:]) for row in attributes(rates, columns)]
     verdict = f"FAIL: no rate was clean: {len(rates)} tried, try lower ones"
+    if any(row.outcome == "interrupted" for row in rates):
+        verdict = "FAIL: interrupted before a rate was found to be clean"
     if clean_hz is not None:
         at_least = "" if failed_hz else "at least "
         highest = f"{at_least}{cycles_per_s(clean_hz)}"

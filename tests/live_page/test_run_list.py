@@ -24,6 +24,8 @@ def test_a_run_of_long_cycles_is_still_going_on_between_two_of_them(tmp_path: Pa
     assert [row["state"] for row in run_list(tmp_path)["runs"]] == ["running"]
     os.utime(path, (time.time() - 500.0,) * 2)
     assert [row["state"] for row in run_list(tmp_path)["runs"]] == ["unfinished"]
+    path.with_name("run-2.mcap").touch()  # It goes on in a further file.
+    assert [row["state"] for row in run_list(tmp_path)["runs"]] == ["running"]
 
 
 def test_a_recording_without_a_head_is_looked_at_again_when_it_has_one(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from own_scenarios import Folder
 
 from scenarios.scenario import load_scenario
+from sim_plant.meters import Meters
 
 SECOND = 'name = "north"\nscenario = "oahu"'
 PLANTS = f"""
@@ -63,6 +64,21 @@ def test_the_rating_of_a_fleet_is_what_its_plants_may_feed_in(folder: Folder) ->
     assert tree.rating_kw("") == 13_000.0
     shares = [tree.sharing_kw(leaf) for leaf in tree.leaves]
     assert sum(shares[17:]) == pytest.approx(5000.0)
+
+
+def test_a_fleet_promises_no_more_than_its_plants_may_feed_in(folder: Folder) -> None:
+    free_kw = folder.prepare().profile.commitment_kw
+    folder.change(SECOND, f"{SECOND}\nexport_limit_kw = 2000")
+    profile = folder.prepare().profile
+    share, plant_kw = 0.65, free_kw / 0.65 / 2  # Both stand under nearly the same clear sky.
+    np.testing.assert_allclose(profile.commitment_kw, share * (plant_kw + 2000.0), rtol=0.01)
+
+
+def test_a_plant_without_clusters_is_a_column_of_itself(folder: Folder) -> None:
+    meters = Meters(folder.prepare().plan, ("west", "north/c1", "north/c2", "north/c3"))
+    power_kw = np.array([[400.0, 100.0, 200.0, 300.0]])
+    assert meters.plant_kw("west", power_kw) == pytest.approx(400.0)
+    assert meters.fed_in_kw(power_kw) == pytest.approx(1000.0)
 
 
 def test_a_plant_may_have_a_time_zone_of_its_own(folder: Folder) -> None:
