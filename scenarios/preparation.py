@@ -296,11 +296,27 @@ def _fleet_day(
         neighbourhoods=(*of_plants, between([day.history_kw for day in parts])),
         history_kw={},
         clear_sky_kw=lambda when: feedable([day.clear_sky_kw(when) for day in parts]),
-        remarks=tuple(f"{', '.join(names)}: {one}" for one, names in noted.items()),
+        remarks=(
+            *(f"{', '.join(names)}: {one}" for one, names in noted.items()),
+            *_on_one_spot(days),
+        ),
         settings=tuple(one for member, _ in days for one in member.settings()),
         storages=storages,
         plants=plants,
     )
+
+
+def _on_one_spot(days: Sequence[tuple[Member, _Day]]) -> Iterator[str]:
+    """Warn of plants that see different clouds at the same place."""
+    found: dict[tuple[float, ...], list[Member]] = {}
+    for member, day in days:
+        if isinstance(member.file.scenario.irradiance, CloudIrradiance):
+            middle = tuple(day.lat_lon_deg.mean(axis=0).round(4).tolist())  # Within some 10 m.
+            found.setdefault(middle, []).append(member)
+    for plants in found.values():
+        if len({one.file.scenario.irradiance for one in plants}) > 1:
+            names = ", ".join(one.entry.name for one in plants)
+            yield f"warning: plants: expected lat and lon for each sky, got {names} on one spot"
 
 
 def _frequency_hz(

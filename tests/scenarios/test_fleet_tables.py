@@ -57,6 +57,15 @@ def test_a_seed_changes_the_sky_of_each_plant_and_leaves_the_clusters(folder: Fo
         assert not np.array_equal(first.profile.mpp_kw[:, plant], second.profile.mpp_kw[:, plant])
 
 
+def test_plants_under_different_skies_on_one_spot_are_warned_of(folder: Folder) -> None:
+    assert not [one for one in folder.prepare().remarks if "on one spot" in one]
+    folder.change("lat = 21.3\nlon = -158.0", "seed = 5")
+    (warning,) = [one for one in folder.prepare().remarks if "on one spot" in one]
+    assert "got west, north on one spot" in warning
+    folder.change(SECOND, f"{SECOND}\nseed = 5")
+    assert not [one for one in folder.prepare().remarks if "on one spot" in one], "one sky"
+
+
 def test_the_rating_of_a_fleet_is_what_its_plants_may_feed_in(folder: Folder) -> None:
     folder.change(SECOND, f"{SECOND}\nexport_limit_kw = 5000")
     tree = folder.prepare().plan.tree
