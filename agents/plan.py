@@ -105,7 +105,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         site, control, cycle_s = self.site, self.control, self.timing.cycle_s
         leaves = [self.tree.leaves[at] for at in self.tree.leaves_below(node)]
         settings = [site.settings_of(leaf) for leaf in leaves]
-        is_real = bool(site.meter or dict(site.devices).keys() & set(leaves))
+        below = {one for one in self.tree.devices if not node or one.startswith(f"{node}/")}
+        is_real = bool(site.meter or dict(site.devices).keys() & below)
         delay_s = max(one.delay_s or 0.0 for one in settings) + (cycle_s if is_real else 0.0)
         turn_s = cycle_s * control.periods.cycles[depth(node)]
         is_ramped = any(one.grid.moves_target for one in self.plants)

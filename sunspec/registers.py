@@ -168,27 +168,34 @@ def meter_device(unit: int, devices: Iterable[Commanded], now: Callable[[], floa
     """Return the meter where a plant is connected: power fed in is positive."""
     devices = list(devices)
     rating_kw = sum(device.rating_kw for device in devices)
+    exported_kwh = imported_kwh = 0.0
 
     def current() -> Points:
+        nonlocal exported_kwh, imported_kwh
         at = now()
         for device in devices:
             device.advance(at)
         watts = 1e3 * sum(device.power_kw(at) for device in devices)
-        energy_kwh = max(sum(device.energy_kwh for device in devices), 0.0)
+        # A storage that charges takes back what was given: neither counter may run backwards.
+        more_kwh = sum(device.energy_kwh for device in devices) - (exported_kwh - imported_kwh)
+        exported_kwh += max(more_kwh, 0.0)
+        imported_kwh += max(-more_kwh, 0.0)
         what = common_points("plant meter", "meter", unit)
-        return what | {203: meter_points(watts, energy_kwh, rating_kw)}
+        return what | {203: meter_points(watts, exported_kwh, rating_kw, imported_kwh)}
 
     return Registers(unit, current).device
 
 
-def meter_points(watts: float, energy_kwh: float, rating_kw: float) -> dict[str, float | str]:
+def meter_points(
+    watts: float, exported_kwh: float, rating_kw: float, imported_kwh: float = 0.0
+) -> dict[str, float | str]:
     """Return the points of model 203, where a plant of a rating is connected."""
     amperes = _amperes(watts)
     return {
         "A_SF": 1, "V_SF": 0, "Hz_SF": -2, "W_SF": _scale(1e3 * rating_kw), "TotWh_SF": 3,
         "A": amperes, "AphA": amperes, "AphB": amperes, "AphC": amperes,
         "PhV": _VOLTS / sqrt(3.0), "PPV": _VOLTS, "Hz": 60, "W": watts,
-        "TotWhExp": 1e3 * energy_kwh, "TotWhImp": 0, "Evt": 0,
+        "TotWhExp": 1e3 * exported_kwh, "TotWhImp": 1e3 * imported_kwh, "Evt": 0,
     }  # fmt: skip
 
 

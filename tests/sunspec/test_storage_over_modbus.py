@@ -78,6 +78,8 @@ def test_an_outsider_reads_a_served_storage_and_gives_it_powers() -> None:
         assert read() == pytest.approx((-60.0, 50.0 + 2.0 * charged_kwh), abs=0.01)
         clock.sleep(4.0)
         assert read()[0] == 0.0, "it has reverted"
+        meter = outsider(addresses["meter"]).models[203][0]
+        assert (meter.TotWhExp.cvalue, meter.TotWhImp.cvalue) == (0, 1_000)
 
         control.WSetEna.value, control.WSet.cvalue, control.WSetRvrtTms.value = 1, 100_000, 0
         control.write()
@@ -86,7 +88,9 @@ def test_an_outsider_reads_a_served_storage_and_gives_it_powers() -> None:
         control.WSet.cvalue = 100_001
         with pytest.raises(ModbusClientException):
             control.write()
-        assert outsider(addresses["meter"]).models[203][0].TotWhExp.cvalue > 0
+        meter.read()
+        assert meter.TotWhExp.cvalue > 0
+        assert meter.TotWhImp.cvalue == 1_000, "no counter runs backwards"
 
 
 def test_state_and_power_come_from_the_models_that_there_are() -> None:
