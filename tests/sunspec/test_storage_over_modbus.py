@@ -79,7 +79,8 @@ def test_an_outsider_reads_a_served_storage_and_gives_it_powers() -> None:
         clock.sleep(4.0)
         assert read()[0] == 0.0, "it has reverted"
         meter = outsider(addresses["meter"]).models[203][0]
-        assert (meter.TotWhExp.cvalue, meter.TotWhImp.cvalue) == (0, 1_000)
+        assert not meter.TotWhExp.cvalue
+        assert meter.TotWhImp.cvalue == 1_000
 
         control.WSetEna.value, control.WSet.cvalue, control.WSetRvrtTms.value = 1, 100_000, 0
         control.write()
