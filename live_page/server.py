@@ -42,6 +42,8 @@ from live_page.run_view import RunView
 
 _STATIC: Final = Path(__file__).with_name("static")
 _MOST_CONNECTIONS: Final = 100
+_STALLED_S: Final = 30.0
+"""A browser that has taken nothing for so long is let go, as that of a sleeping laptop."""
 
 _OPEN_RUNS: Final = 4
 _CONTENT_POLICY: Final = "Content-Security-Policy"
@@ -58,6 +60,20 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+
+
+class EventStream(StreamingResponse):
+    """Server-sent events. A browser that takes none of them for a while is let go."""
+
+    media_type = "text/event-stream"
+
+    async def stream_response(self, send: Send) -> None:
+        async def send_in_time(message: Message) -> None:
+            async with asyncio.timeout(_STALLED_S):
+                await send(message)
+
+        with suppress(TimeoutError):
+            await super().stream_response(send_in_time)
 
 
 class _Server(uvicorn.Server):
@@ -213,8 +229,7 @@ class PageServer:
         begin = _number(request, "from", -1.0)
         speed = max(_number(request, "speed", 0.0), 0.0)
         view = self._view(request)
-        events = self._events(view.updates(None if begin < 0 else begin, speed))
-        return StreamingResponse(events, media_type="text/event-stream")
+        return EventStream(self._events(view.updates(None if begin < 0 else begin, speed)))
 
     async def _events(self, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         self.streams += 1
