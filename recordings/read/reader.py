@@ -352,7 +352,10 @@ class RunReader:
 
     def damage_text(self) -> str:
         """Name the damaged chunks that were skipped and damaged attachments; empty: none."""
-        parts = [f"chunk at byte {chunk.offset:,}" for chunk in sorted(self.damage)]
+        parts = []
+        for chunk in sorted(self.damage):
+            of = f" of {Path(self.files[chunk.file].name).name}" if chunk.file else ""
+            parts.append(f"chunk at byte {chunk.offset:,}{of}")
         parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
         what = f"a part of the file is damaged and left out ({listed(parts)})"
         return f"{self.path}: {what}" if parts else ""
