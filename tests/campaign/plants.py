@@ -187,7 +187,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
                 },
             ],
         },
-        Worth(0.0008, 0.0021, 0.0031, 0.0, 1.1),
+        Worth(0.0007, 0.0021, 0.0037, 0.0, 1.1),
     ),
     "fleet": CampaignPlant(
         str(Path(__file__).with_name("fleet.toml")),
