@@ -834,7 +834,6 @@ def promise_figures(
 ANSWERS: Final = {
     "reaction to a step, longest [s]": ("reaction_s", max, 1),
     "rise, longest [s]": ("rise_s", max, 1),
-    "90 % of a step, longest [s]": ("to_90_s", max, 1),
     "settled within 2.5 % of a step, longest [s]": ("settling_of_change_s", max, 1),
     "damping, least": ("damping", min, 2),
     "settled, longest [s]": ("settling_s", max, 1),
@@ -845,7 +844,6 @@ ANSWERS: Final = {
     "reaction to a step of the frequency, longest [s]": ("reaction_s", max, 1),
     "rise after a step of the frequency, longest [s]": ("rise_s", max, 1),
     "settled after a step of the frequency, longest [s]": ("settling_of_change_s", max, 1),
-    "90 % of a frequency response, longest [s]": ("to_90_s", max, 1),
     "frequency response, least energy [%]": ("response_percent", min, 1),
 }
 
