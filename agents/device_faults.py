@@ -35,6 +35,9 @@ _DAMAGES: Final[dict[str, Callable[[bytes], bytes]]] = {
 }
 
 
+Damage: TypeAlias = Literal["", "empty", "garbage", "cut", "longer", "list", "no cycle", "no power"]
+
+
 class Copy(msgspec.Struct, frozen=True, omit_defaults=True):
     """A message that a device is sent in place of the right one.
 
@@ -43,7 +46,7 @@ class Copy(msgspec.Struct, frozen=True, omit_defaults=True):
     """
 
     changes: dict[str, float | int | str] = {}
-    damage: Literal["", "empty", "garbage", "cut", "longer", "list", "no cycle", "no power"] = ""
+    damage: Damage = ""
     at: float = 0.0
 
     def payload(self, message: Message) -> bytes:

@@ -43,7 +43,7 @@ from live_page.run_view import RunView
 _STATIC: Final = Path(__file__).with_name("static")
 _MOST_CONNECTIONS: Final = 100
 _STALLED_S: Final = 30.0
-"""A browser that has taken nothing for so long is let go, as that of a sleeping laptop."""
+"""A browser that takes nothing for this long is let go: its laptop may sleep."""
 
 _OPEN_RUNS: Final = 4
 _CONTENT_POLICY: Final = "Content-Security-Policy"

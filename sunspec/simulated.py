@@ -5,6 +5,7 @@ They obey what is written to them after their delay, until their revert time.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from math import inf
@@ -105,7 +106,7 @@ Settings: TypeAlias = LimitSettings | SetPoint
 _STEP_S: Final = 1.0
 
 
-class Commanded:
+class Commanded(ABC):
     """A device that is asked what it does now, after it was moved on to that time.
 
     delay_s: Time from a write until the device begins to follow it.
@@ -124,14 +125,15 @@ class Commanded:
         self._target = settings.target
         self._at: float | None = None
 
+    @abstractmethod
     def power_kw(self, at: float) -> float:
         """Return what it gives at a time."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _follow(self, at: float, step_s: float) -> None:
         """Follow the target for a step."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _turn(self, at: float) -> None:
         """Turn to a new target."""
 
@@ -235,6 +237,9 @@ class SetStorage(Commanded):
         if max(abs(settings.watts), abs(settings.revert_watts)) > 1e3 * self.rating_kw:
             raise msgspec.ValidationError
         return settings
+
+    def _turn(self, at: float) -> None:
+        """Do nothing: the way to a target follows from the storage's ramp alone."""
 
     def _follow(self, at: float, step_s: float) -> None:
         law, wanted_kw = self.storage.law(step_s), self._target / 1e3

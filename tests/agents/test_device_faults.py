@@ -7,7 +7,7 @@ from math import isnan
 import msgspec
 import pytest
 
-from agents.device_faults import Copy, DeviceFault, DeviceFaults
+from agents.device_faults import Copy, Damage, DeviceFault, DeviceFaults
 from bus_schemas.codec import encode
 from bus_schemas.messages import Meter
 from bus_schemas.signals import METER
@@ -37,8 +37,8 @@ def test_a_message_is_lost_repeated_held_back_or_changed() -> None:
 @pytest.mark.parametrize(
     "damage", ["empty", "garbage", "cut", "longer", "list", "no cycle", "no power"]
 )
-def test_damaged_messages_do_not_decode(damage: str) -> None:
-    ((_, payload),) = sent(Copy(damage=damage))  # type: ignore[arg-type]
+def test_damaged_messages_do_not_decode(damage: Damage) -> None:
+    ((_, payload),) = sent(Copy(damage=damage))
     with pytest.raises(msgspec.DecodeError):
         METER.decode(payload)
 

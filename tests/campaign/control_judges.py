@@ -306,7 +306,7 @@ def _wrong_abilities(run: FaultyRun) -> Breaches:
         if its is None or measured is None or one.doubtful or measured.cycle < one.cycle:
             continue
         said = one.sent[key(one.node, "impp")]
-        if not isinstance(measured.energy_kwh, float):  # It is off, and nobody knows what it holds.
+        if not isinstance(measured.energy_kwh, float):  # It is off: its energy is unknown.
             if said.discharge_kw or said.absorb_kw:
                 yield one.cycle, f"{one.agent} says that it can give and take, though it is off"
             continue
