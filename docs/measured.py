@@ -513,11 +513,6 @@ def paper_here() -> Lines:
     def of_all(name: str, decimals: int, factor: float = 1.0) -> list[str]:
         return [f"{factor * figures[name]:.{decimals}f}" for figures in found.values()]
 
-    def requests(percent: float) -> list[str]:
-        tolerance_kw = runs["paper"].plan.site.regulation_capacity_kw * percent / 100.0
-        fulfilled_by = (requests_fulfilled(run, tolerance_kw) for run in runs.values())
-        return [f"{one.feasible_percent:.2f}" for one in fulfilled_by]
-
     mileage = np.array([figures["mileage"] for figures in found.values()])
     stated = {title: (title, *cells) for title, cells in PAPER.items()}
     satisfied, unsatisfied, ratio, fulfilled, took, committed = stated.values()
@@ -528,9 +523,6 @@ def paper_here() -> Lines:
     yield ["of it control-caused [kWh]", "-", "-", *of_all("control-caused-energy", 0)]
     yield [*ratio, *(f"{one:.2f}" for one in mileage / mileage[1])]
     yield [*fulfilled, "-", "-", "-"]
-    for percent in (2, 5, 20):
-        title = f"feasible requests, to {percent} % of the capacity [%]"
-        yield [title, "-", "-", *requests(percent)]
     yield [*took, *took_s(runs)]
     yield ["the same through agents [s]", "-", "-", "-", "-", f"{agents_took_s():.0f}"]
     yield [*committed, *of_all("dispatched-energy", 1, 1e-3)]
