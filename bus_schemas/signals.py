@@ -47,24 +47,24 @@ class About(Enum):
 class Role(Enum):
     """An agent, as seen from the node that a signal is about."""
 
-    NODE = "the node itself"
-    PARENT = "its parent"
-    PLANT = "the plant"
-    CENTRAL = "the central controller"
-    RECORDER = "the recorder"
-    REPLAYER = "the replay of a recording"
-    OPERATOR = "the operator's program"
-    CONTROLLERS = "every controller"
+    NODE = "its node"
+    PARENT = "parent"
+    PLANT = "plant"
+    CENTRAL = "central"
+    RECORDER = "recorder"
+    REPLAYER = "replay"
+    OPERATOR = "operator"
+    CONTROLLERS = "controllers"
 
 
 class Occurrence(Enum):
     """How often a signal comes."""
 
-    CYCLE = "once in each cycle"
-    TURN = "once in each cycle that is its publisher's turn"
-    NEED = "in cycles with a need for it"
+    CYCLE = "each cycle"
+    TURN = "each turn of its publisher"
+    NEED = "when needed"
     EVENT = "rarely"
-    REPLAY = "in no run, but in the replay of one"
+    REPLAY = "only in a replay"
 
 
 _CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})

@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterable, Iterator
 from functools import cache
 from inspect import cleandoc
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -211,7 +212,7 @@ def _signals() -> Iterator[str]:
             (
                 f"`<plant>/{'' if row.nodes(tree) == (ROOT,) else '<path>/'}{row.name}`",
                 row.publisher.value,
-                ", ".join(role.value for role in row.listeners) or "the recorder alone",
+                ", ".join(role.value for role in row.listeners) or "recorder",
                 row.occurrence.value,
             )
             for row in SIGNALS
@@ -233,16 +234,25 @@ def _types() -> Iterator[str]:
 def _fields(kind: type[Message]) -> str:
     known = () if kind is Message else Message.__struct_fields__
     fields = cast("inspect.StructType", inspect.type_info(kind)).fields
-    return ", ".join(_field(field) for field in fields if field.name not in known)
+    return _named(field for field in fields if field.name not in known)
 
 
-def _field(field: inspect.Field) -> str:
-    """Name a field with its type and default; a float without a default has no remark."""
+def _named(fields: Iterable[inspect.Field]) -> str:
+    """Name fields with type and default, neighbours alike in both together."""
+    found = []
+    for remark, alike in groupby(fields, _remark):
+        names = [f"`{field.name}`" for field in alike]
+        each = "each " if len(names) > 1 else ""
+        found.append(", ".join(names) + (f" ({each}{remark})" if remark else ""))
+    return "; ".join(found)
+
+
+def _remark(field: inspect.Field) -> str:
+    """Say the type and default of a field; nothing of a float without a default."""
     remarks = [_type_name(field.type)]
     if not field.required:
         remarks.append(_unless_given(field.default))
-    said = ", ".join(filter(None, remarks))
-    return f"`{field.name}` ({said})" if said else f"`{field.name}`"
+    return ", ".join(filter(None, remarks))
 
 
 def _unless_given(value: object) -> str:
@@ -260,7 +270,7 @@ def _type_name(kind: inspect.Type) -> str:
         case inspect.LiteralType():
             return " or ".join(f"`{value}`" for value in kind.values)
         case inspect.VarTupleType(item_type=inspect.StructType() as entry):
-            return f"array of arrays [{', '.join(map(_field, entry.fields))}]"
+            return f"array of arrays [{_named(entry.fields)}]"
         case inspect.VarTupleType():
             return f"array of {_type_name(kind.item_type) or 'float'}s"
     names: dict[type[inspect.Type], str] = {
