@@ -11,17 +11,17 @@ from msgspec import Meta
 class DeviceProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How a real inverter or meter wants to be read and written.
 
-    base_address: Register at which its SunSpec map begins. Default: 40000, 0 or 50000, as found.
-    write_function: Modbus function that writes: 16 (several registers) or 6 (one). Default: what
-        the first write finds out.
-    block_write: Whether a limit is written in one request, with the registers in between.
-    revert: Whether it has a reversion time. Without one it holds its last limit for ever.
-    limit_step_percent: Step to which it rounds limits, in % of the rating: a limit is only
-        written if it differs by a step. Default: that of its register.
-    write_every_s: Shortest time between two writes of a limit, for registers that wear out [s].
+    base_address: First register of its SunSpec map. Default: 40000, 0 or 50000, as found.
+    write_function: Modbus function that writes one (6) or several (16) registers. Default: detected
+        by the first write.
+    block_write: Write a limit in one request, with the registers in between.
+    revert: It has a reversion time; without one it holds its last limit for ever.
+    limit_step_percent: Step to which it rounds limits, in % of the rating; smaller changes are not
+        written. Default: its register's.
+    write_every_s: Shortest time between writes of a limit, for registers that wear out [s].
     timeout_s: Time without an answer after which the link is broken [s].
-    word_order: Which register of a number of 32 bits comes first: its `high` or `low` half.
-    heartbeat: Whether to count up `ControllerHb` of model 715 every second.
+    word_order: Half of a 32-bit number that comes first.
+    heartbeat: Count up `ControllerHb` of model 715 every second.
     """
 
     base_address: Annotated[int, Meta(ge=0, le=65_535)] | None = None

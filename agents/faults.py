@@ -15,8 +15,8 @@ from bus_schemas.wiring import Wiring
 class Kill(Rule, frozen=True, tag="kill"):
     """Controllers are killed.
 
-    agents: Their name or pattern: `c1`, `c2/*`.
-    at: When, in simulated time since cycle 0 [s].
+    agents: Name or pattern: `c1`, `c2/*`.
+    at: Simulated time since cycle 0 [s].
     """
 
     agents: str
@@ -26,8 +26,8 @@ class Kill(Rule, frozen=True, tag="kill"):
 class Freeze(Rule, frozen=True, tag="freeze"):
     """Controllers stand still.
 
-    agents: Their name or pattern: `c1`, `c2/*`.
-    at: Beginning and end, in simulated time since cycle 0 [s].
+    agents: Name or pattern: `c1`, `c2/*`.
+    at: Beginning and end, since cycle 0 [s].
     """
 
     agents: str
@@ -37,8 +37,8 @@ class Freeze(Rule, frozen=True, tag="freeze"):
 class Trip(Rule, frozen=True, tag="trip"):
     """Inverters draw standby power instead of giving any. Controllers go on.
 
-    agents: Their path or pattern: `c1/inv01`, `c2/*`.
-    at: Beginning and end, in simulated time since cycle 0 [s].
+    agents: Path or pattern: `c1/inv01`, `c2/*`.
+    at: Beginning and end, since cycle 0 [s].
     """
 
     agents: str

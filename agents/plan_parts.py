@@ -233,11 +233,11 @@ class Faults(msgspec.Struct, frozen=True):
 class PlannedOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """An order that the scenario states.
 
-    at: When, in simulated time since cycle 0 [s].
+    at: Simulated time since cycle 0 [s].
     power_kw: Power of the plant [kW].
     schedule: Back to the schedule, instead of a power.
-    ramp_kw_per_min: Ramp by which the dispatch goes there [kW/min]. Default: at once.
-    hold_s: Time after which the schedule returns [s]. Default: the order holds until the next one.
+    ramp_kw_per_min: Ramp of the dispatch [kW/min]. Default: at once.
+    hold_s: Time after which the schedule returns [s]. Default: at the next order.
     """
 
     at: Second

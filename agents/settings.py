@@ -30,12 +30,12 @@ _MOST_DOUBLINGS = 60
 class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the launcher does when a controller's process ends before the run does.
 
-    when: `never`: it is given up. `on-failure`: the process is restarted. `always`: the same,
-        without a limit. Default: `on-failure` in real time, `never` in lockstep.
-    most: Largest number of restarts of one process within `within_s`; then it is given up.
-    within_s: Time in which the restarts of a process are counted [s].
-    backoff_s: Wait before the second restart within that time, doubled each time [s].
-    frozen_s: A process that does not beat for this time is killed [s].
+    when: When a process is restarted; `always` has no limit. Default: `on-failure` in real time,
+        `never` in lockstep.
+    most: Restarts of a process within `within_s`; after that it is given up.
+    within_s: Time in which restarts are counted [s].
+    backoff_s: Wait before the second restart in that time, doubled each time [s].
+    frozen_s: A process without a beat for this time is killed [s].
     """
 
     when: Literal["never", "on-failure", "always"] | None = None
@@ -67,8 +67,8 @@ class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What an inverter does without new commands (SunSpec models 123 and 704).
 
     after_s: Time after the last command [s].
-    to: `share`: its own share of the last dispatch that its controller heard. `release`: no
-        limit. A number: this share of its rating.
+    to: Its `share` of the last dispatch that its controller heard, no limit (`release`), or a share
+        of its rating.
     """
 
     after_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 60.0
@@ -79,7 +79,7 @@ class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """How some inverters follow commands. Fields that are not given are as for all others.
 
     nodes: Which: `c1/inv07`, or a pattern such as `c1/*`.
-    revert: What these inverters do without new commands.
+    revert: What they do without new commands.
     ramp_percent_per_s: Largest change of power, in % of the rating per second.
     delay_s: Time until a command takes effect [s].
     """
@@ -94,16 +94,16 @@ class StorageSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """A storage: a battery behind its own inverter, at a bus bar of the plant.
 
     name: Its name in the control tree.
-    cluster: The cluster that it helps first, such as `c1`. Default: it is the whole plant's.
+    cluster: Cluster that it helps first, such as `c1`. Default: the whole plant.
     rating_kw: Largest power, given or taken [kW].
     capacity_kwh: Energy that it can hold [kWh].
-    state: Energy in it when the run begins, as a share of its capacity.
-    target: What it is charged to from headroom, as a share of its capacity.
-    lowest_state: It gives nothing from here on down, as a share of its capacity.
-    highest_state: It takes nothing from here on up, as a share of its capacity.
+    state: Its energy at the start, as a share of its capacity.
+    target: State to which headroom charges it.
+    lowest_state: State at which it gives nothing more.
+    highest_state: State at which it takes nothing more.
     charge_efficiency: Share of the energy taken that is stored.
     discharge_efficiency: Share of the stored energy that is given.
-    standing_loss_kw: What the stored energy loses all the time [kW].
+    standing_loss_kw: Constant loss of stored energy [kW].
     delay_s: Time until a command takes effect [s].
     ramp_percent_per_s: Largest change of power, in % of the rating per second. Default: any.
     """
@@ -164,10 +164,9 @@ class OfferedCommitment(
     under a clear sky.
 
     interval_s: Length of an interval [s].
-    lead_s: How long before an interval begins its offer is made [s]. Default: 60 s, or the interval
-        if that is shorter.
-    reliability: Share of the intervals that are to be kept: at most 1 % of their energy is missing.
-    first_share: Share of the clear-sky power that is promised until the first offer.
+    lead_s: Time from an offer to its interval [s]. Default: 60, or the interval if that is shorter.
+    reliability: Share of the intervals that lack at most 1 % of their energy.
+    first_share: Share of the clear-sky power promised until the first offer.
     """
 
     interval_s: Annotated[float, Meta(ge=1.0, le=14400.0)] = 900.0
@@ -208,11 +207,11 @@ _Gain: TypeAlias = Annotated[float, Meta(ge=0.0, le=1000.0)]
 class Droop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Frequency response by droop, with the names and the units of WECC's REPC_A.
 
-    fdbd1: End of the deadband above the nominal frequency, per unit; of 60 Hz -36 mHz.
+    fdbd1: End of the deadband above the nominal frequency, per unit: -36 mHz of 60 Hz.
     fdbd2: End of the deadband below it, per unit.
-    ddn: Reciprocal of the droop above it, on the plant's rating; 20 is a droop of 5 %.
+    ddn: Reciprocal of the droop above it, on the plant's rating; 20: 5 %.
     dup: Reciprocal of the droop below it.
-    reserve_percent: Headroom kept for the response upwards, in % of the plant's rating.
+    reserve_percent: Headroom kept for the response upwards, in % of the rating.
     """
 
     fdbd1: Annotated[float, Meta(ge=-0.1, le=0.0)] = -0.0006
@@ -228,12 +227,10 @@ class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     ramp_up_kw_per_min: Fastest rise of the plant's target [kW/min]. Default: any.
     ramp_down_kw_per_min: Fastest fall of the plant's target [kW/min]. Default: any.
     nominal_hz: Nominal frequency [Hz].
-    droop: Frequency response. Default: none.
-    pmin: Lowest power of the plant, per unit of its rating.
-    pmax: Highest power of the plant, per unit of its rating.
-    loss_constant_percent: Losses at any power, in % of the plant's rating.
-    loss_quadratic_percent: Losses that grow with the square of the power, at the rating, in % of
-        it.
+    pmin: Lowest power, per unit of the rating.
+    pmax: Highest power, per unit of the rating.
+    loss_constant_percent: Constant losses, in % of the rating.
+    loss_quadratic_percent: Losses with the square of the power: at the rating, in % of it.
     meter_error_percent: Error of the plant's meter, in % of its reading.
     """
 

@@ -64,13 +64,13 @@ class Disturbance(_OneWay, frozen=True, kw_only=True, tag="disturbance"):
     """Messages come late, twice, in another order, or not at all.
 
     delay_ms: Delay of each message [ms].
-    jitter_ms: Spread of the delay [ms]; it is never below 0.
-    distribution: How delays are spread; `jitter_ms` is the range (±) or standard deviation.
-    loss: Share of the messages that do not arrive.
+    jitter_ms: Spread of the delay [ms], which is never below 0.
+    distribution: `jitter_ms` is the range (±), or the standard deviation if `normal`.
+    loss: Share of messages that do not arrive.
     duplicate: Share that arrives twice; the copy has its own delay and loss.
     reorder: Share that is held back, so that later messages overtake it.
     reorder_ms: Extra delay when held back [ms]. Default: one more `delay_ms`.
-    at: Beginning and end, in simulated time since cycle 0 [s]. Default: always.
+    at: Beginning and end, since cycle 0 [s]. Default: always.
     """
 
     delay_ms: Milliseconds = 0.0
@@ -98,7 +98,7 @@ class Disturbance(_OneWay, frozen=True, kw_only=True, tag="disturbance"):
 class Blackout(_OneWay, frozen=True, kw_only=True, tag="blackout"):
     """Nothing arrives.
 
-    at: Beginning and end, in simulated time since cycle 0 [s].
+    at: Beginning and end, since cycle 0 [s].
     """
 
     at: Interval
@@ -107,8 +107,8 @@ class Blackout(_OneWay, frozen=True, kw_only=True, tag="blackout"):
 class Partition(Rule, frozen=True, tag="partition"):
     """Two agents do not hear each other.
 
-    between: The agents, or patterns of them: `["c1", "central"]`.
-    at: Beginning and end, in simulated time since cycle 0 [s]. Default: always.
+    between: Agents, or patterns of them: `["c1", "central"]`.
+    at: Beginning and end, since cycle 0 [s]. Default: always.
     """
 
     between: tuple[str, str]

@@ -155,11 +155,13 @@ def _scenario_table(name: str) -> Iterator[str]:
     for (field, values, words), of_kinds in kinds.items():
         rows.setdefault((", ".join(of_kinds), values, words), []).append(field)
     table = (
-        (kind, ", ".join(fields), values, words) for (kind, values, words), fields in rows.items()
+        (kind, f"{', '.join(fields)}: {values}", words)
+        for (kind, values, words), fields in rows.items()
     )
-    header = ("kind", "field", "values (default)", "what it is")
     start = 1 if "" in scenario_tables()[name] else 0
-    return _rows(header[start:], (row[start:] for row in table))
+    return _rows(
+        ("kind", "field: values (default)", "what it is")[start:], (r[start:] for r in table)
+    )
 
 
 _SHORTER: Final = {

@@ -28,7 +28,6 @@ class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     node: Its path: `c2/inv07`; or `meter`.
     address: `modbus://host:port/unit`, with SunSpec models.
-    profile: How it wants to be read and written, where that cannot be detected.
     """
 
     node: str

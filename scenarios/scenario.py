@@ -77,7 +77,7 @@ class TimeTable(_Table, frozen=True):
     """When the run takes place.
 
     start: Local time of the first cycle.
-    timezone: IANA name, for instance `Pacific/Honolulu`.
+    timezone: IANA name, such as `Pacific/Honolulu`.
     duration_s: Length of the run [s].
     cycle_s: Length of one cycle [s].
     """
@@ -94,20 +94,17 @@ class TimeTable(_Table, frozen=True):
 class PlantTable(_Table, frozen=True):
     """The inverters.
 
-    inverters: CSV: `inverter, lat, lon[, rating_kw]`. Only for `clouds`.
-    grid: Inverters in regular rows, instead of a CSV.
+    inverters: CSV: `inverter, lat, lon[, rating_kw]`.
     rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
     altitude_m: Height above the sea [m].
-    block_m: Side of the square of modules behind an inverter, over which clouds are averaged [m].
-        Only for `clouds`.
+    block_m: Side of the square of modules behind an inverter; synthetic clouds are averaged over
+        it [m].
     actuator: A command is a power `limit`, or a `fraction` of the inverter's maximum.
-    meter_noise: Standard deviation of a power meter's error, as a share of the reading.
+    meter_noise: Standard deviation of a meter's error, as a share of the reading.
     available_bias: Relative error of `available_kw`. Default: none is stated.
     available_share: Share of the inverters that state it, evenly among them.
-    revert: What an inverter does without new commands.
-    ramp_percent_per_s: Largest change of an inverter's power, in % of its rating per second.
+    ramp_percent_per_s: Largest change of power, in % of the rating per second.
     delay_s: Time until a command takes effect [s].
-    settings: Settings for some of the inverters.
     meter_seed: Seed of the meter noise.
     ramp_limit_percent_per_min: Ramp limit in % of the rating per minute: judged, not enforced.
     """
@@ -133,8 +130,7 @@ class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
     """Synthetic irradiance: a cloud field that drifts over the plant.
 
     seed: Seed of the cloud field; `--seed` replaces it.
-    clouds: The sky: see below.
-    clear_until: Local time up to which the sky is clear. Default: clouds all the time.
+    clear_until: Local time up to which the sky is clear. Default: never clear.
     """
 
     seed: Seed = 0
@@ -145,10 +141,10 @@ class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
 class MeasuredIrradiance(_Table, StatedForm, frozen=True, tag="measured", tag_field="kind"):
     """Measured irradiance: a file of GHI with one column for each station, and their positions.
 
-    ghi: CSV: time stamps, then one column of GHI [W/m^2] for each station.
+    ghi: CSV: time stamps, then a column of GHI [W/m^2] for each station.
     positions: CSV with the columns `station, lat, lon`.
     stations: Stations to use. Default: all listed ones.
-    max_gap_s: Gaps of up to this time are filled on straight lines [s]. Default: none is.
+    max_gap_s: Longest gap that is filled on a straight line [s]. Default: none.
     """
 
     ghi: str
@@ -167,8 +163,8 @@ class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind")
     positions: CSV with the columns `station, lat, lon`.
     folder: Folder of YYYYMMDD.txt. Default: `--data`.
     stations: Default: all 17 horizontal sensors.
-    most_missing: Leave a sensor out if a larger share of its day is missing; what is missing of the
-        others is filled from their neighbours.
+    most_missing: A sensor that misses a larger share of its day is left out; gaps of the others are
+        filled from their neighbours.
     """
 
     positions: str
@@ -180,11 +176,11 @@ class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind")
 class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
     """Power from the measured DC currents of a real plant's combiners, without irradiance.
 
-    currents: CSV: `t_s` (0 at `time.start`), then one column for each combiner.
+    currents: CSV: `t_s` (0 at `time.start`), then a column for each combiner.
     positions: CSV with the columns `combiner, inverter, x_m, y_m`.
-    full_power_current: Current of an inverter at its rating, in the unit of the file.
-    lat: Latitude of the plant's middle [degrees]. Default: unknown.
-    lon: Longitude of the plant's middle [degrees]. Default: unknown.
+    full_power_current: Current of an inverter at its rating, as in the file.
+    lat: Latitude of the plant's middle. Default: unknown.
+    lon: Longitude of the plant's middle. Default: unknown.
     """
 
     currents: str
@@ -209,21 +205,21 @@ Irradiance: TypeAlias = CloudIrradiance | MeasuredIrradiance | OahuGridIrradianc
 class ControlTable(_Table, frozen=True):
     """The control tree and the rules of its controllers.
 
-    cluster_sizes: Sizes of the clusters of each tier, the lowest tier first.
-    cluster_count: Number of clusters of each tier, instead of their sizes.
+    cluster_sizes: Sizes of the clusters of each tier, the lowest first.
+    cluster_count: Number of clusters of each tier, instead of sizes.
     scheme: How an inverter's maximum power is estimated.
-    clusters: How the members of a cluster are chosen.
+    clusters: How members are chosen.
     clusters_seed: Seed of `random` clusters.
-    period_cycles: Cycles from turn to turn of each tier, the central controller's first, each a
+    period_cycles: Cycles between turns of each tier, the central controller's first, each a
         multiple of the next.
     alpha_min: Lowest curtailment level.
-    hold_cycles: An input that is older than this has expired [cycles].
+    hold_cycles: An older input has expired [cycles].
     stall_timeout_s: In lockstep: how long a cycle may stall [s].
     correction: Correct the central target by the plant's meter. Default: by `scheme`.
-    offset: How much more than the dispatch the plant aims at, as a share of its rating.
-    offset_errors: So many times its own mean error (20 s) the plant aims higher.
-    storage: Storages give what inverters cannot (`last`), or also what inverters could, until these
-        do (`first`).
+    offset: The plant aims at so much more than the dispatch, as a share of its rating.
+    offset_errors: The same, in mean errors of the plant (over 20 s).
+    storage: Storages give what inverters cannot (`last`), or also what these could, until they do
+        (`first`).
     """
 
     cluster_sizes: tuple[tuple[Positive, ...], ...] | None = None
@@ -254,14 +250,12 @@ class PlantEntry(_Table, frozen=True):
     """A plant of a fleet.
 
     name: Its name in the control tree.
-    scenario: A shipped scenario, or a TOML file: its inverters and clusters, its sky, its storages,
-        its losses and ramp limits.
-    lat: Latitude of its middle [degrees]. Default: that of its scenario.
-    lon: Longitude of its middle [degrees].
-    seed: Seed of its sky. Default: that of its scenario, and 1000 more for each plant before it.
-    export_limit_kw: Most that it may feed in at its meter [kW]. Default: the rating of its
-        inverters.
-    set: Other fields of its scenario, by name: `"irradiance.clouds.cloud_cover" = 0.6`.
+    scenario: A shipped scenario, or a TOML file.
+    lat: Latitude of its middle. Default: its scenario's.
+    lon: Longitude of its middle.
+    seed: Seed of its sky. Default: its scenario's, and 1000 more for each plant before it.
+    export_limit_kw: Most that it may feed in at its meter [kW]. Default: its rating.
+    set: Other fields of its scenario, by name.
     """
 
     name: str
@@ -282,11 +276,11 @@ class BudgetTable(_Table, frozen=True):
 
     loop_p99_ms: From the plant's tick to its last command. Default: half the cycle.
     decision_p99_ms: By tier. Default: each stage's slice, and the paper's upper bounds.
-    hop_p99_ms: By signal. Default: 10 ms.
-    late_cycles_percent: Of the run's cycles; late is one in which any of our agents missed a
-        deadline, overran or published nothing. Default: 1.
-    lost_messages: In the whole run, of all tiers.
-    cpu_percent: By kind; of one core, per process. Default: 80.
+    hop_p99_ms: By signal. Default: 10.
+    late_cycles_percent: Cycles in which one of our agents missed a deadline, overran or published
+        nothing.
+    lost_messages: In the whole run.
+    cpu_percent: Of a core, per process, by kind. Default: 80.
     """
 
     loop_p99_ms: Limit | None = None
@@ -304,13 +298,13 @@ class AnswerBudgets(_Table, frozen=True):
     rise_s: Of a step: time from a tenth to nine tenths [s].
     settling_of_change_s: Of a step: time until the power stays within 2.5 % of it, or 0.5 % of the
         rating if that is more [s].
-    damping: Least damping ratio of a step, from its overshoot, 0 to 1.
+    damping: Of a step: least damping ratio, from its overshoot.
     settling_s: Time until the power stays within 1 % of the rating [s].
     overshoot_percent: Largest power beyond the order, in % of the rating.
     error_percent: Mean error at rest, in % of the rating.
     ramp_deviation_percent: Mean deviation from a ramp, in % of the rating.
-    score: Least score of an AGC signal, 0 to 1.
-    response_percent: Least energy of a response to the frequency, in % of the droop's.
+    score: Least score of an AGC signal.
+    response_percent: Least energy of a frequency response, in % of the droop's.
     """
 
     reaction_s: Limit | None = None
@@ -335,21 +329,10 @@ class Scenario(_Table, frozen=True):
     """A run, as its file describes it.
 
     name: First part of every key on the bus.
-    title: Description: the heading of tables and reports.
-    storage: Storages beside the inverters.
-    plants: The plants of a fleet; without `plant`, `irradiance` and `neighbours`.
-    regulation: Default: no regulation is offered.
-    grid: What the grid asks of the plant. Default: nothing.
-    frequency: The grid's frequency. Default: the nominal one.
-    pace: Simulated seconds per second; 1 is real time, `max` is lockstep.
-    faults: Faults of links and processes; `--fault` adds to them.
+    title: Heading of tables and reports.
+    pace: Simulated seconds per second: 1 is real time, `max` lockstep.
     faults_seed: Seed of what is drawn for faults.
-    restart: What happens if a process ends before the run.
-    devices: Real inverters; `--device` adds to them.
-    processes: What a process holds: one `agent`; a `cluster` or `zone` with all below it; or so
-        for the parents that are listed.
-    orders: Orders to the plant during the run.
-    answers: Limits for the plant's answers to orders. Default: none is judged.
+    processes: What shares a process.
     """
 
     name: str

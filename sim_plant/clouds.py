@@ -100,14 +100,14 @@ _BLOCK_POINTS: Final = 4
 class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The sky. The defaults are broken clouds in the trade wind of Oahu.
 
-    cloud_cover: Share of the sky under clouds, on average over hours.
+    cloud_cover: Share of the sky under clouds, averaged over hours.
     drift_speed_ms: Speed of the clouds [m/s].
     drift_from_deg: Where the clouds come from, clockwise from north [degree].
     cloud_size_m: Size of a typical cloud [m].
     cloud_softness: How gradually clouds darken inwards: 0.6 cumulus, 1.2 torn clouds.
     thick_cloud_index: Clear-sky index under the thickest cloud.
     edge_enhancement: Highest clear-sky index, between clouds; 1: no enhancement.
-    evolution_s: Time after which groups of clouds have changed entirely [s].
+    evolution_s: Time in which groups of clouds change entirely [s].
     linke_turbidity: Linke turbidity of the clear sky.
     """
 

@@ -65,7 +65,7 @@ class BelowAvailable(_Rule, frozen=True, tag="below-available"):
     less than the commitment. This is hindsight: a centred mean knows what the clouds will do.
 
     share: Share of the mean available power around each moment.
-    window_s: Length of the window of that mean [s].
+    window_s: Window of that mean [s].
     """
 
     share: OfClearSky
@@ -75,7 +75,7 @@ class BelowAvailable(_Rule, frozen=True, tag="below-available"):
 class ScheduledCommitment(_Rule, frozen=True, tag="file"):
     """A schedule in a file.
 
-    path: CSV: time stamps, then `commitment_kw` from then on, or a column in kW or MW.
+    path: CSV: time stamps, then the power from then on: `commitment_kw`, or a column in kW or MW.
     """
 
     path: str

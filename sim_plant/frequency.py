@@ -22,7 +22,7 @@ class FrequencyFile(
     """A measured frequency.
 
     path: CSV: seconds since cycle 0 or local time stamps, then the frequency [Hz].
-    column: The column to take, where there are several.
+    column: Column to take, of several.
     """
 
     path: str
@@ -32,11 +32,11 @@ class FrequencyFile(
 class FrequencyEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A departure from the nominal frequency, which returns at the same rate.
 
-    at: When it begins, in simulated time since cycle 0 [s].
-    depth_hz: How far it goes: below 0 for an under-frequency [Hz].
+    at: Beginning, in simulated time since cycle 0 [s].
+    depth_hz: How far it goes; an under-frequency is below 0 [Hz].
     rate_hz_per_s: How fast [Hz/s].
-    duration_s: Time until the frequency begins to return [s].
-    step: It goes and returns at once, at no rate.
+    duration_s: Time until it begins to return [s].
+    step: Go and return at once, at no rate.
     """
 
     at: Second
@@ -61,10 +61,7 @@ class FrequencyEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 class FrequencyEvents(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="events"
 ):
-    """The nominal frequency, with events.
-
-    events: The events; where several overlap, their departures add up.
-    """
+    """The nominal frequency, with events. Departures of events that overlap add up."""
 
     events: tuple[FrequencyEvent, ...]
 

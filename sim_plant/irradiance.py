@@ -41,9 +41,9 @@ class StatedForm(msgspec.Struct, frozen=True, kw_only=True):
     """What a file of irradiance may leave open, and its user states.
 
     timezone: Zone of time stamps without an offset. Default: `time.timezone`.
-    dates: Whether the day or the month comes first, where the time stamps leave it open.
-    unit: Unit of the values, where the header does not say it. Default: W/m2.
-    stamps: Which moment of its interval a time stamp names. Default: by the header, else by the
+    dates: Order of dates, where the time stamps leave it open.
+    unit: Unit, where the header does not say it. Default: W/m2.
+    stamps: Moment of its interval that a time stamp names. Default: by the header, else by the
         sun's path for steps of a minute or more, else `begin`.
     """
 

@@ -37,13 +37,12 @@ class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     tilt_deg: Tilt of the modules [degree]; at 0 POA irradiance is the GHI.
     azimuth_deg: Where the modules face, clockwise from north [degree].
     tracker_gcr: Ground coverage ratio of single-axis trackers from north to south, which follow the
-        sun up to 60 degrees and backtrack; tilt and azimuth are then without effect. Default: the
-        modules are fixed.
+        sun up to 60 degrees and backtrack, whatever tilt and azimuth say. Default: fixed modules.
     dc_ac_ratio: DC rating of an array over the AC rating of its inverter.
     temp_air_c: Air temperature [degree Celsius].
     wind_speed_ms: Wind speed at 10 m [m/s].
     gamma_pdc_per_c: Temperature coefficient of DC power [1/degree Celsius].
-    inverter_efficiency: Nominal efficiency of the inverter.
+    inverter_efficiency: Nominal efficiency.
     albedo: Reflectance of the ground; without effect at tilt 0.
     """
 

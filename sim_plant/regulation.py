@@ -50,7 +50,7 @@ class RegulationFile(_Offer, frozen=True, tag="file"):
 
     path: CSV: seconds of the signal's clock, times of day or time stamps, then the signal from -1
         to 1 (+: raise).
-    column: The column to take, where there are several. Default: that of the run's first day.
+    column: Column to take, of several. Default: that of the run's first day.
     signal_midnight_s: Second of the signal at local midnight of the run's first day.
     """
 

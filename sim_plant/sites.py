@@ -39,9 +39,9 @@ class Grid(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     rows: Number of rows.
     columns: Inverters in each row.
-    apart_m: Distance from one to the next, in the row and between rows [m].
-    lat: Latitude of the first one [degrees].
-    lon: Longitude of the first one [degrees].
+    apart_m: Distance in the row and between rows [m].
+    lat: Latitude of the first one.
+    lon: Longitude of the first one.
     """
 
     rows: Annotated[int, Meta(ge=1, le=MOST_INVERTERS)]
