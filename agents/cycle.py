@@ -29,10 +29,6 @@ STAGES: Final[dict[Kind, tuple[str, ...]]] = {
 USED_SHARE: Final = 0.9
 """Share of the cycle by whose end the plant has its commands, or goes on without."""
 
-FIRST_PARTS: Final = 3
-"""Parts of that time for the first place, in which all direct controllers estimate at once; each
-further one has one."""
-
 _ALONE: Final[dict[str, Kind]] = {PLANT: "plant", CENTRAL: "central", RECORDER: "recorder"}
 
 _LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply"}
@@ -69,7 +65,8 @@ def stage_of(port: Port[Message], tree: ControlTree) -> str:
 class Deadlines:
     """When, in real time, each stage of a cycle closes at the latest.
 
-    `USED_SHARE` of the cycle is divided among the places.
+    `USED_SHARE` of the cycle is divided into parts. The first place, in which all direct
+    controllers estimate at once, has one for each tier and one more; each other place has one.
 
     cycle_ns: Length of a cycle on the wall clock.
     """
@@ -94,13 +91,10 @@ class Deadlines:
         return self._of_place(place + 1) - self._of_place(place)
 
     def _of_place(self, place: int) -> int:
+        more = self.tree.height
         last = stage_place(PLANT, "apply", self.tree)
-        return round(USED_SHARE * self.cycle_ns * _parts_up_to(place) / _parts_up_to(last))
-
-
-def _parts_up_to(place: int) -> int:
-    """Return how many parts of the time there are up to the end of a place."""
-    return place + FIRST_PARTS - 1 if place else 0
+        share = (place + more) / (last + more) if place else 0.0
+        return round(USED_SHARE * self.cycle_ns * share)
 
 
 @dataclass(frozen=True)

@@ -86,9 +86,11 @@ class SessionSettings:
     namespace: Prefix of every key of the run.
     listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
     lockstep: Whether a publisher waits for a listener that falls behind. In real time a message
-        that cannot go out within 20 ms is dropped instead.
+        that cannot go out within `wait_s` is dropped instead.
     lease_s: How long nothing may come over a link before both ends close it.
     open_s: How long a link may take to open. After that, the end that connects tries anew.
+    wait_s: How long a message waits for room in the queue of a link. Once one was dropped, others
+        are dropped at once until there is room.
     further: Further settings, by Zenoh's own names.
     peers: Agents at the other ends of its links.
     devices: Of the agent's second session, for devices; None: no devices.
@@ -100,6 +102,7 @@ class SessionSettings:
     lockstep: bool = True
     lease_s: float = LONGEST_LEASE_S
     open_s: float = LONGEST_LEASE_S
+    wait_s: float = 0.02
     further: dict[str, object] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
     devices: SessionSettings | None = None
@@ -139,7 +142,9 @@ class SessionSettings:
             # would look whole, and carry nothing.
             "transport/unicast/open_timeout": round(self.open_s * 1e3),
             "transport/unicast/accept_timeout": lease_ms,
-            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": round(
+                self.wait_s * 1e6
+            ),
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
             "transport/link/tx/lease": lease_ms,

@@ -257,8 +257,9 @@ class DirectController(Member):
 def deadlines_s(plan: dict[str, Any], node: str) -> dict[str, float]:
     """Return by when after the tick each stage closes [s]."""
     tiers = 1 + max(path.count("/") for path, _ in plan["inverters"])
-    part_s = 0.9 * plan["timing"]["cycle_wall_ns"] / (2 * tiers + 4) / 1e9
-    return {"estimate": 3 * part_s, "actuate": (tiers + node.count("/") + 4) * part_s}
+    part_s = 0.9 * plan["timing"]["cycle_wall_ns"] / (3 * tiers + 2) / 1e9
+    places = {"estimate": 1, "actuate": tiers + node.count("/") + 2}
+    return {stage: (tiers + place) * part_s for stage, place in places.items()}
 
 
 def read_message(signal: str, payload: bytes, source: str) -> dict[str, Any] | None:

@@ -173,8 +173,8 @@ class ProcessOptions:
         Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, plant,
         central, supervisor, direct). May be given several times.
     priority
-        In real time: run plant and controllers under SCHED_FIFO with this priority, 1 to 99, if
-        the machine permits it.
+        In real time: run plant and controllers, and what receives for the recorder, under
+        SCHED_FIFO with this priority, 1 to 99, if the machine permits it.
     split
         Go on in a next file after this much time of the run, or at this size: 1h, 1GB.
     """

@@ -24,8 +24,8 @@ from sim_plant.inverters import PlantState
 FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
 
-_ROUND_PER_AGENT_S: Final = 0.005
-"""How much longer an arming round may take for each agent."""
+_QUIET_PER_AGENT_S: Final = 0.001
+"""How much longer nothing may come of an arming round, for each agent."""
 
 _ARMING_S: Final = 30.0
 """How long the arming rounds may take, once all agents are there."""
@@ -34,11 +34,11 @@ _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 the plant announces when it begins."""
 
 
-def longest_round_s(number: int) -> float:
-    """Return how long an arming round, counted from 1, may take before the next one is tried [s].
+def longest_quiet_s(number: int) -> float:
+    """Return for how long nothing may come of an arming round, counted from 1 [s].
 
-    Most rounds fail because a link is not up yet, so the next one is tried soon. Later rounds have
-    more time, for slow machines.
+    Then the next one is tried, soon: most rounds fail because a link is not up yet. Later rounds
+    have more time, for slow machines.
     """
     return min(0.3 * float(1.25 ** min(number - 1, 20)), 3.0)
 
@@ -89,8 +89,8 @@ def _arm(process: AgentProcess, give_up_at: float) -> None:
     for number in range(1, -FIRST_ROUND):
         loop.enter(FIRST_ROUND + number, time.monotonic_ns())
         process.driver.advance(loop)
-        longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(plan.tree.nodes)
-        if _round_closes(process, FIRST_ROUND + number, time.monotonic() + longest_s):
+        quiet_s = longest_quiet_s(number) + _QUIET_PER_AGENT_S * len(plan.tree.nodes)
+        if _round_closes(process, FIRST_ROUND + number, quiet_s):
             return
         if time.monotonic() > give_up_at:
             break
@@ -99,10 +99,13 @@ def _arm(process: AgentProcess, give_up_at: float) -> None:
     raise FailureError(f"no arming round closed; the plant waits for {needs or 'the recorder'}")
 
 
-def _round_closes(process: AgentProcess, cycle: int, until: float) -> bool:
-    is_recorded = False
+def _round_closes(process: AgentProcess, cycle: int, quiet_s: float) -> bool:
+    is_recorded, until = False, time.monotonic() + quiet_s
     while time.monotonic() < until:
-        for arrival in process.driver.wait_and_act(longest_ns=round(until * 1e9)):
+        arrivals = process.driver.wait_and_act(longest_ns=round(until * 1e9))
+        if arrivals:
+            until = time.monotonic() + quiet_s
+        for arrival in arrivals:
             if arrival.port is READY.of(ROOT) and arrival.message.cycle == cycle:
                 is_recorded = True
         process.beat()

@@ -21,7 +21,7 @@ HIGHEST_PRIORITY: Final = 99
 """Of the policy SCHED_FIFO, see sched(7)."""
 
 _RECORDER_NICE: Final = 5
-"""In real time the recorder may lag behind: its messages wait in a queue, and lose nothing."""
+"""In real time the recorder may write later: its messages wait in a queue, and lose nothing."""
 
 _SET_PARENT_DEATH_SIGNAL: Final = 1
 """PR_SET_PDEATHSIG of prctl(2). It outlives execve(2)."""
@@ -37,7 +37,8 @@ class MachineSettings(msgspec.Struct, frozen=True):
     """What the processes of a run may take of the machine. By default nothing special.
 
     cpus, cpus_of: Processors that all processes run on, and those of one kind. Empty: any.
-    priority: In real time: of plant and controllers under SCHED_FIFO, 1 to 99. 0: normal policy.
+    priority: In real time: of plant, controllers and what receives for the recorder under
+        SCHED_FIFO, 1 to 99. 0: normal policy.
     """
 
     cpus: tuple[int, ...] = ()
@@ -60,7 +61,7 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
         # Do not interrupt the running process when woken: it may have more messages to send.
         with suppress(OSError):  # A sandbox may forbid it; it only saves processor time.
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    elif kind != "recorder":
+    else:
         wake_precisely()
         priority = settings.priority
         try:
@@ -113,4 +114,6 @@ def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
 
 def stand_back() -> None:
     """Lower the priority of this thread, but not of the threads that receive messages."""
+    with suppress(OSError):  # A sandbox may forbid it, and then gave no priority either.
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)

@@ -333,8 +333,8 @@ static void read_deadlines(const char *json, int level) {
         slashes = *at == '"' ? 0 : slashes + (*at == '/');
         if (slashes >= tiers) tiers = slashes + 1;
     }
-    double part_ns = 0.9 * (double)plan.cycle_wall_ns / (2 * tiers + 4);
-    plan.deadline_ns[ESTIMATE] = 3 * part_ns, plan.deadline_ns[ACTUATE] = (tiers + level + 3) * part_ns;
+    double part_ns = 0.9 * (double)plan.cycle_wall_ns / (3 * tiers + 2);
+    plan.deadline_ns[ESTIMATE] = (tiers + 1) * part_ns, plan.deadline_ns[ACTUATE] = (2 * tiers + level + 1) * part_ns;
 }
 
 static void read_plan(const char *json, const char *node, char **endpoints) {

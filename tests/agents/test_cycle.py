@@ -71,7 +71,7 @@ def test_whoever_hears_waits_longer_than_whoever_sends(tree: ControlTree) -> Non
                 assert deadlines.deadline_ns(port.publisher, sent_in) < own_ns, f"{port}"
 
 
-def test_by_default_the_first_place_has_three_parts_of_the_cycle_and_each_other_one() -> None:
+def test_the_first_place_has_a_part_of_the_cycle_for_each_tier_and_one_more() -> None:
     deadlines = Deadlines(THREE_TIERS, 1_200 * MS)
     found = [deadlines.deadline_ns(*place) for place in STAGES_IN_ORDER]
     assert found == [0, *(135 * MS * parts for parts in range(3, 9))]

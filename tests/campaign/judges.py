@@ -27,7 +27,8 @@ SETTLED_SHARE: Final = 0.01
 """Share of the rating to which it is as without faults, once it has settled."""
 
 USED_SHARE: Final = 0.9
-"""Share of the cycle that is divided among its stages: three parts for the first, one for each."""
+"""Share of the cycle that is divided among its stages: one part for each, and one more for each
+tier to the first."""
 
 RETURNS_WITHIN: Final = 1
 """Cycles after its return in which a process must speak."""
@@ -186,7 +187,7 @@ def timely(run: FaultyRun) -> Breaches:
             "actuate": 1 + height + level,
             "apply": 2 + 2 * height,
         }[one.stage]
-        due_ns = wall_ns * (one.cycle + USED_SHARE * (place + 2) / (4 + 2 * height))
+        due_ns = wall_ns * (one.cycle + USED_SHARE * (place + height) / (2 + 3 * height))
         # One that returns, or joins by a dispatch that was long on its way, may be late for its
         # stages, but leaves out what is over.
         if run.is_stopped(one.agent, one.cycle) or 0 < one.process == one.cycle:

@@ -241,6 +241,16 @@ def test_a_folder_of_sockets_that_others_can_enter_is_refused(tmp_path: Path) ->
         session_settings(with_changes(BARE, sockets=str(tmp_path)), PLANT)
 
 
+@pytest.mark.parametrize(("cycle_ms", "wait_s"), [(0, 0.02), (20, 0.02), (1_000, 0.1)])
+def test_a_message_waits_for_a_tenth_of_the_cycle_before_it_is_dropped(
+    cycle_ms: int, wait_s: float
+) -> None:
+    """With 20 ms at one cycle a second, a group of 1,000 lost what came while others worked."""
+    ports = dict.fromkeys(AGENTS, 7447)
+    plan = with_changes(BARE, cycle_wall_ns=cycle_ms * 1_000_000, tcp_ports=ports)
+    assert session_settings(plan, PLANT).wait_s == wait_s
+
+
 @pytest.mark.parametrize("mode", ["peer", "client"])
 def test_beside_a_device_a_stranger_can_say_what_the_device_may_and_is_heard_by_the_recorder(
     with_a_device: Team, mode: str

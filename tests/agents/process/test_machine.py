@@ -85,10 +85,15 @@ def test_where_a_sandbox_forbids_the_policy_of_lockstep_a_process_goes_on(
     assert taken(MachineSettings(), lockstep=True)[0] == ()
 
 
-def test_only_the_thread_that_stands_back_does_so() -> None:
+def test_only_the_thread_that_stands_back_does_so_and_gives_back_its_priority() -> None:
     before = os.getpriority(os.PRIO_PROCESS, 0)
     with ThreadPoolExecutor(1) as thread:
+        settings = MachineSettings(priority=7)
+        refused = thread.submit(take_machine, settings, "recorder", lockstep=False).result()
+        if not refused:
+            assert thread.submit(place).result()[:2] == (os.SCHED_FIFO, 7)
         thread.submit(stand_back).result()
+        assert thread.submit(place).result()[:2] == (os.SCHED_OTHER, 0)
         assert thread.submit(os.getpriority, os.PRIO_PROCESS, 0).result() == before + 5
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
