@@ -684,7 +684,7 @@ def measured_unavoidable(data: Path) -> Lines:
 
 OFFERS: Final = (
     *("interval [s]", "reliability", "actuator", "intervals", "kept %", "promised %"),
-    *("firm, hindsight %", "fixed share of clear sky", "promised so %"),
+    *("firm %", "fixed share", "promised so %"),
 )
 Runs = list[tuple[RunPlan, Profile]]
 
@@ -894,7 +894,7 @@ def clusters(cases: Mapping[str, tuple[str | ScenarioFile, dict[str, Any]]]) -> 
                 always = by_period.get_group(periods[0])
                 helped = (always[name].agg(how) for name in ("outside-help", "outside-help-able"))
                 caused = by_period["control-caused"].agg(how)
-                title = way if way != "random" else f"random, {how} of {len(always)}"
+                title = way if how == "mean" else f"{way}, {how}"
                 yield [
                     *(rows["case"].iloc[0], title),
                     *(f"{percent:.1f}" for percent in helped),
