@@ -45,9 +45,8 @@ def powers_without_help_kw(
     for node in tree.meters[1:] or tree.meters:
         own_kw = aim_kw
         if node:
-            own_kw = _gross_kw(
-                aim_kw * (tree.rating_kw(node) / tree.rating_kw(ROOT)), plan.grid_laws[node]
-            )
+            law, part = plan.grid_laws[node], tree.rating_kw(node) / tree.rating_kw(ROOT)
+            own_kw = _gross_kw(np.minimum(aim_kw * part, law.pmax_kw), law)
         below = tree.leaves_below(node)
         level = np.clip(own_kw / rating_kw[list(below)].sum(), 0.0, 1.0)
         for kind in dict.fromkeys(kinds[at] for at in below):
