@@ -225,9 +225,9 @@ def _signals() -> Iterator[str]:
 def _types() -> Iterator[str]:
     """Say what each type is, with the fields that it has beside those of every message."""
     return _rows(
-        ("type", "what it is", "fields"),
+        ("type", "fields"),
         (
-            (f"`{kind.__name__}`", cleandoc(kind.__doc__ or "").partition("\n")[0], _fields(kind))
+            (f"`{kind.__name__}`: {cleandoc(kind.__doc__ or '').splitlines()[0]}", _fields(kind))
             for kind in (Message, *(row.type for row in SIGNALS))
         ),
     )
@@ -326,13 +326,14 @@ def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
 
 
 def _bounds() -> Iterator[str]:
-    fields: dict[tuple[str, str], list[str]] = {}
+    fields: dict[str, list[str]] = {}
     for kind, bounds in BOUNDS.items():
         for bound in bounds:
             low, high = (_bound(bound, value) for value in (bound.low, bound.high))
-            fields.setdefault((low, high), []).append(f"`{kind.__name__}.{bound.field}`")
-    rows = ((", ".join(names), low, high) for (low, high), names in fields.items())
-    return _rows(("fields", "from", "to"), rows)
+            pair = f"± {high}" if bound.low == -bound.high else f"{low} to {high}"
+            said = low if bound.high == LARGEST else pair
+            fields.setdefault(said, []).append(f"`{kind.__name__}.{bound.field}`")
+    return _rows(("fields", "bounds"), ((", ".join(names), said) for said, names in fields.items()))
 
 
 def _bound(bound: Bound, value: float) -> str:

@@ -332,7 +332,7 @@ class Scenario(_Table, frozen=True):
     title: Heading of tables and reports.
     pace: Simulated seconds per second: 1 is real time, `max` lockstep.
     faults_seed: Seed of what is drawn for faults.
-    processes: What shares a process.
+    processes: Which agents share a process.
     """
 
     name: str
