@@ -96,11 +96,12 @@ def skies() -> Lines:
     """Write means over a hundred skies."""
     schemes = ("uniform-cap", *HIERARCHICAL)
     rows = compare("oahu", schemes=schemes, actuators=BOTH, seeds=range(1, 101), workers=WORKERS)
-    yield ["scheme", "actuator", ERRORS[0], "5 to 95 %", ERRORS[1]]
+    yield ["scheme", "actuator", ERRORS[0], "5 to 95 %", ERRORS[1], "unavoidable %"]
     for names, group in rows.groupby(["scheme", "actuator"], sort=False):
         missing, beyond = group["control-caused"], group["over-delivered"]
         spread = f"{missing.quantile(0.05):.3f} to {missing.quantile(0.95):.3f}"
-        yield [*names, f"{missing.mean():.3f}", spread, f"{beyond.mean():.2f}"]
+        unavoidable = f"{group['unavoidable'].mean():.3f}"
+        yield [*names, f"{missing.mean():.3f}", spread, f"{beyond.mean():.2f}", unavoidable]
 
 
 def cycle_lengths() -> Lines:
@@ -657,17 +658,8 @@ def ten_skies(scenario: str | ScenarioFile) -> pd.DataFrame:
     return compare(scenario, schemes=schemes, actuators=BOTH, seeds=range(1, 11), workers=WORKERS)
 
 
-def unavoidable() -> Lines:
-    """Write what no controller could have delivered under the hundred skies."""
-    yield ["sky", "unavoidable %", "5 to 95 %"]
-    run = partial(compare, schemes=["physical-limit"], workers=WORKERS)
-    percents = run("oahu", seeds=range(1, 101))["unavoidable"]
-    spread = f"{percents.quantile(0.05):.3f} to {percents.quantile(0.95):.3f}"
-    yield ["oahu, a hundred skies", f"{percents.mean():.3f}", spread]
-
-
 def measured_unavoidable(data: Path) -> Lines:
-    """Write the same of each measured sky, and of all: means over the commitments."""
+    """Write the unavoidable shortfall of each measured sky, and of all: means over commitments."""
     yield ["sky", "unavoidable %", "least to most"]
     run = partial(compare, schemes=["physical-limit"], workers=WORKERS)
     shares = {"commitment.share": CELLS["commitment.share"]}
@@ -1167,7 +1159,6 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "plant meter": plant_meter,
         "realism": realism,
         "utility parts": utility_parts,
-        "unavoidable": unavoidable,
     },
     "offers.md": {"offers": offers},
     "storage.md": {

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib import dates
 
-from docs.shown import keep, read
+from docs.shown import read
 from heliarch import compare, load_scenario
 from recordings.read.series import RunSeries
 from scenarios.preparation import prepare
@@ -53,14 +53,6 @@ def ten_minutes(path: Path) -> None:
         axes.legend(loc="lower left", ncols=3, frameon=False, fontsize=9)
     left.set_ylabel("power of the plant [MW]")
     figure.savefig(path, dpi=160)
-    missed = {"controlled": controlled, "capped": capped}
-    keep(
-        "make pictures",
-        (
-            (f"ten minutes {name}", f"{missed_percent(one):.2g}", "% of the promise")
-            for name, one in missed.items()
-        ),
-    )
 
 
 def promise(path: Path) -> None:

@@ -1,10 +1,11 @@
 """Puts measured tables and figures into pages, between comments that name them.
 
 `<!-- measured: NAME where COLUMN is VALUE or VALUE and ... -->` ... `<!-- end -->` shows a table,
-or only some of its rows; a column with one value is left out. `<!--NAME-->5.2<!--/-->` shows a
-figure, a row of `figures.csv`; `<!--TABLE:KEY:KEY:COLUMN-->5.2<!--/-->` shows one cell of another
-table, in the row that begins with the keys. So no number of a page is its own, and a page is read
-as it is also where no site is built. A test compares.
+or only some of its rows; a column with one value is left out. README names the table's page, too.
+`<!--NAME-->5.2<!--/-->` shows a figure, a row of `figures.csv`;
+`<!--TABLE:KEY:KEY:COLUMN-->5.2<!--/-->` shows one cell of another table, in the row that begins
+with the keys. So no number of a page is its own, and a page is read as it is also where no site is
+built. A test compares.
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ def cell(place: str) -> str:
 
 
 def _with_rows(page: str, found: re.Match[str]) -> str:
-    titles, *rows = read(f"{page}-{found['name'].replace(' ', '-')}")
+    name = found["name"].replace(" ", "-")
+    titles, *rows = read(name if page == "README" else f"{page}-{name}")
     for condition in filter(None, (found["where"] or "").split(" and ")):
         column, _, among = condition.partition(" is ")
         at, values = titles.index(column), among.split(" or ")
