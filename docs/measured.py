@@ -350,18 +350,17 @@ def hard_cells() -> dict[str, list[tuple[RunPlan, Profile]]]:
 
 def hard_skies() -> Lines:
     """Write what is missed and over-delivered where a change cannot be foreseen."""
-    yield ["sky", "actuator", "paper", "predictive"]
+    yield ["sky", *(f"{scheme}, {actuator}" for actuator in BOTH for scheme in HIERARCHICAL)]
     for sky, cells in hard_cells().items():
-        for actuator in BOTH:
-            cell: list[str] = []
-            for scheme in HIERARCHICAL:
-                found = [
-                    run_figures(run_scheme(scheme, plan, profile, actuator)[0])
-                    for plan, profile in cells
-                ]
-                means = [np.mean([float(one[name] or 0.0) for one in found]) for name in CAUSES]
-                cell.append(f"{means[0]:.2f} / {means[1]:.2f}")
-            yield [sky, actuator, *cell]
+        cell: list[str] = []
+        for actuator, scheme in product(BOTH, HIERARCHICAL):
+            found = [
+                run_figures(run_scheme(scheme, plan, profile, actuator)[0])
+                for plan, profile in cells
+            ]
+            means = [np.mean([float(one[name] or 0.0) for one in found]) for name in CAUSES]
+            cell.append(f"{means[0]:.2f} / {means[1]:.2f}")
+        yield [sky, *cell]
 
 
 STATES: Final[dict[str, dict[str, list[float]]]] = {
@@ -1016,12 +1015,10 @@ def firm_promises() -> Lines:
     days = [
         prepare(clear, RunOptions(seed=seed, **PROMISE_HOURS), "promise") for seed in PROMISE_DAYS
     ]
-    yield ["battery, minutes at 25 % of the rating", "help between inverters", "firm promise %"]
+    yield ["minutes of battery", "without help %", "with help %"]
     for minutes in MINUTES:
-        for has_help in (False, True):
-            under = partial(missed_under, minutes=minutes, has_help=has_help)
-            kept = firm_percent(days, under)
-            yield [minutes, "with" if has_help else "without", kept]
+        under = (partial(missed_under, minutes=minutes, has_help=one) for one in (False, True))
+        yield [minutes, *(firm_percent(days, missed) for missed in under)]
 
 
 def firm_percent(days: Sequence[Preparation], missed: Callable[[Preparation, float], Any]) -> int:
