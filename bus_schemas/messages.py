@@ -50,7 +50,7 @@ Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_M
 
 
 class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
-    """The head that every message carries.
+    """The head of every message.
 
     The bus sets `publish_time_ns` and `sequence` as the message goes out. No code changes a message
     after that.
@@ -94,7 +94,7 @@ class Head(msgspec.Struct, gc=False):
 
 
 class Telemetry(Message, kw_only=True):
-    """Measurements of an inverter in the interval that just ended, and its limits then.
+    """Measurements of an inverter in the interval that just ended, and its limit then.
 
     `alpha` is the curtailment level it was told. `limit_kw` is the power it did not exceed: its
     rating, or less where the actuator of the run is `limit` and it is curtailed. `available_kw` is
@@ -145,7 +145,7 @@ class Dispatch(Message, kw_only=True):
 
 
 class Order(Message, kw_only=True):
-    """What the operator orders from the plant, from its next cycle on.
+    """What the operator orders from the next cycle on.
 
     `power_kw` is the power of the plant, in place of what the schedule asks for; nil: back to the
     schedule. The dispatch goes there by `ramp_kw_per_min`; nil: at once. The order holds until the
@@ -161,7 +161,7 @@ class Order(Message, kw_only=True):
 
 
 class Meter(Message, kw_only=True):
-    """What the plant fed in during the interval that just ended, metered at its connection.
+    """What the plant fed in during the interval that just ended, by its meter.
 
     `frequency_hz` is the grid's frequency there and now, where the meter measures it. The other
     fields are those of the newest `memory` of the central controller: a new process of it goes on
@@ -226,7 +226,7 @@ class Residual(Message, kw_only=True):
 
 
 class Help(Message, kw_only=True):
-    """A negative residual as a message of its own, for people and recordings."""
+    """A negative residual, for people and recordings."""
 
     missing_kw: float
 
@@ -254,7 +254,7 @@ class Setpoint(Message, kw_only=True):
 
 
 class Command(Message, kw_only=True):
-    """What a direct controller commands its inverter: the curtailment level alpha (eq. 6).
+    """What a direct controller commands: the curtailment level alpha (eq. 6).
 
     `power_kw` says the same in absolute power, IMPP x alpha; the rating where alpha is 1 and
     nothing is to be held back. A run has one actuator: `fraction` inverters apply alpha to their
@@ -299,7 +299,7 @@ class Production(Message, kw_only=True):
 
 
 class Run(Message, kw_only=True):
-    """Beginning and end of a run, for everybody.
+    """Beginning and end of a run.
 
     At `start`, cycle 0 begins at `start_time_ns` of the host's monotonic clock and a cycle lasts
     `cycle_wall_ns` (0: lockstep, no deadlines). At `stop`, `cycle` is the first cycle that does
@@ -318,14 +318,14 @@ class Ready(Message, kw_only=True):
 
 
 class Notice(Message, kw_only=True):
-    """What an agent had to refuse or to correct, in words, and how often it did so far."""
+    """What an agent refused or corrected, in words, and how often so far."""
 
     text: Text
     count: LongCount
 
 
 class GivenUp(Message, kw_only=True):
-    """Agents that do not come back: their processes ended more often than they may.
+    """Agents that do not come back.
 
     `agents` are all of them so far. From now on their messages are not awaited, in lockstep either.
     """
@@ -334,7 +334,7 @@ class GivenUp(Message, kw_only=True):
 
 
 class Clock(Message, kw_only=True):
-    """Where the replay of a recording stands: the simulated time that begins now.
+    """Where a replay stands: the simulated time that begins now.
 
     Comes before the first message of a cycle. `rate` is recorded, or simulated, seconds a second;
     0: as fast as possible.

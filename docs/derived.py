@@ -33,7 +33,6 @@ from bus_schemas.messages import HelpGiven, Message
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
-    HELP,
     SETPOINT,
     SIGNALS,
     TELEMETRY,
@@ -149,7 +148,8 @@ def _scenario_table(name: str) -> Iterator[str]:
                 words = described[field.name]
                 if "_" in field.name:  # Its name says the unit.
                     words = re.sub(r" \[[^]]+\](?=[.;,])", "", words)
-                row = (f"`{field.encode_name}`", _values(field), words)
+                mark = r"\*" if field.required else ""
+                row = (f"`{field.encode_name}`{mark}", _values(field), words)
                 kinds.setdefault(row, []).append(kind)
     rows: dict[tuple[str, str, str], list[str]] = {}
     for (field, values, words), of_kinds in kinds.items():
@@ -200,7 +200,7 @@ def _default(field: inspect.Field) -> str:
             return f" ({json.dumps(field.default)})"
         case int() | float():
             return f" ({field.default:.10g})"
-    return ", required" if field.default is NODEFAULT and field.required else ""
+    return ""
 
 
 # On the wire
@@ -322,7 +322,7 @@ def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
         ports = [row.of(node) for node in row.nodes(tree)]
         own = [port for port in ports if port.publisher == agent.name]
         if row.is_cyclic and own and stage_of(own[0], tree) == stage.name:
-            yield "`help` if it is negative" if row is HELP else row.name
+            yield row.name
 
 
 def _bounds() -> Iterator[str]:
