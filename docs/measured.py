@@ -265,9 +265,7 @@ def other_skies(data: Path) -> Lines:
             "time.cycle_s": 10,
         },
     }
-    titles = (
-        f"{what}, {actuator}" for actuator in BOTH for what in ("at most the paper's", "sum %")
-    )
+    titles = (f"{what}, {actuator}" for actuator in BOTH for what in ("at most", "sum %"))
     yield ["sky and plant", "cells", *titles]
     shares = [{"kind": "share-of-median", "share": share} for share in NEW_CELLS["share"]]
     cells = {"commitment": shares, "plant.meter_noise": NEW_CELLS["plant.meter_noise"]}
