@@ -5,17 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import count
-from typing import Any, Final
+from typing import Any
 
 from agents.loop import Loop
 from bus_schemas.bus import Arrival, Bus
 from bus_schemas.messages import Message
-from bus_schemas.signals import DISPATCH, SIGNALS, Occurrence, Port
-
-_LEADING: Final = frozenset(
-    {DISPATCH, *(one for one in SIGNALS if one.occurrence is Occurrence.EVENT)}
-)
-"""Signals that may take an agent into the run, or to another cycle."""
+from bus_schemas.signals import Port
 
 
 class Driver:
@@ -68,7 +63,10 @@ class Driver:
     def advance(self, loop: Loop[Any], *, is_overdue: bool = False) -> None:
         """Close an overdue stage and all complete ones; publish the outputs."""
         bus, now_ns = self.bus, self.now_ns
-        while (sent := loop.close_stage(now_ns(), is_overdue=is_overdue)) is not None:
+        while is_overdue or not loop.waiting:
+            sent = loop.close_stage(now_ns(), is_overdue=is_overdue)
+            if sent is None:
+                break
             is_overdue = False
             self.closed += 1
             for port, message in sent:
@@ -103,7 +101,7 @@ class Driver:
         for agent, port, message, time_ns in arrivals:
             loop = self.loops[agent]
             loop.hear(port, message, time_ns)
-            if not loop.waiting or port.signal in _LEADING:
+            if not loop.waiting or loop.deadline_ns != self._deadline_of[agent]:
                 self.advance(loop)
 
     def _next_deadline_ns(self) -> int | None:

@@ -18,7 +18,7 @@ from bus_schemas.signals import Occurrence, Port
 from bus_schemas.wiring import Bundle
 
 Source: TypeAlias = Port[Message] | Bundle
-Item: TypeAlias = tuple[Source, zenoh.ZBytes, int]
+Item: TypeAlias = tuple[Source, bytes, int]
 
 _NEVER: Final = 1 << 60
 
@@ -61,7 +61,8 @@ class Inbox:
                 _this_thread.is_kept = True
             if len(items) >= _CROWDED and not self._has_room(source):
                 return
-            extend(((source, sample.payload, now_ns()), *more))
+            # A payload that is kept keeps the buffer of its batch: 64 kB, mapped anew for the next.
+            extend(((source, sample.payload.to_bytes(), now_ns()), *more))
             if len(items) >= self._wanted or urgent:
                 self._wanted = _NEVER
                 self._urgent = self._urgent or urgent

@@ -186,7 +186,8 @@ class ZenohBus:
             self._newest[port] = message
         name, bundle, hearers = self._routes[port]
         if bundle is None:
-            self.send_bundles()  # So the recorder knows no less than others.
+            if self._bundled:  # So the recorder knows no less than others.
+                self.send_bundles()
             self._send(port, encode(message))
         else:
             bundle.append((name, message))
@@ -236,7 +237,7 @@ class ZenohBus:
                 if (sample := reply.ok) is not None:
                     port = self._wiring.port(str(sample.key_expr))
                     if port in self.heard:
-                        taken.append((port, sample.payload, time.monotonic_ns()))
+                        taken.append((port, sample.payload.to_bytes(), time.monotonic_ns()))
         return self.arrivals(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
 
     def _answer(self, query: zenoh.Query) -> None:
@@ -279,9 +280,9 @@ class ZenohBus:
             time_ns = came_ns
             try:
                 messages = (
-                    [(source, source.signal.decode(payload.to_bytes()))]
+                    [(source, source.signal.decode(payload))]
                     if isinstance(source, Port)
-                    else source.messages(payload.to_bytes())
+                    else source.messages(payload)
                 )
             except UNREADABLE:
                 self.inbox.dropped[str(source), Cause.UNDECODABLE] += 1

@@ -162,7 +162,7 @@ class ReplayBeside(ReplayBus):
         for port, received, _ in self._inbox.take(wanted, _LOOK_S):
             assert isinstance(port, Port)  # Each process has one agent.
             try:
-                self._newest[port] = port.signal.decode(received.to_bytes()).cycle
+                self._newest[port] = port.signal.decode(received).cycle
             except UNREADABLE as error:
                 self._line.show(f"{port}: expected a {port.signal.type.__name__}, got: {error}")
 

@@ -6,6 +6,8 @@ import threading
 from dataclasses import dataclass
 from typing import Any, cast
 
+import zenoh
+
 from bus_schemas.inbox import Inbox
 from bus_schemas.messages import Message
 from bus_schemas.signals import IMPP, RUN, SETPOINT, Port
@@ -17,21 +19,21 @@ FOR_EVER_S = 100.0
 
 @dataclass(frozen=True)
 class Sample:
-    """What an inbox takes from a sample, which it does not look at."""
+    """What an inbox takes from a sample: bytes that it does not look at."""
 
-    payload: Any
+    payload: zenoh.ZBytes
 
 
 def put(inbox: Inbox, *numbers: int, port: Port[Message] = PORT) -> None:
     """Let samples come on a port, as Zenoh calls the inbox."""
     hear = inbox.callback(port)
     for number in numbers:
-        hear(cast(Any, Sample(number)))
+        hear(cast(Any, Sample(zenoh.ZBytes(str(number)))))
 
 
-def take(inbox: Inbox, wanted: int, timeout_s: float) -> list[Any]:
+def take(inbox: Inbox, wanted: int, timeout_s: float) -> list[int]:
     """What an inbox gives, as the numbers that came."""
-    return [number for _, number, _ in inbox.take(wanted, timeout_s)]
+    return [int(number) for _, number, _ in inbox.take(wanted, timeout_s)]
 
 
 def test_a_rare_event_wakes_it_however_many_it_wants() -> None:
