@@ -624,17 +624,21 @@ PARTS: Final[dict[str, dict[str, Any]]] = {
 
 def realism() -> Lines:
     """Write means over ten skies of the paper's plant, and of one as plants are built today."""
-    yield ["scenario", "scheme", "actuator", "judged by", "unavoidable %", *ERRORS, "RMSE kW"]
+    judges = (f"by the {judge} %" for judge in JUDGES)
+    yield ["scenario", "scheme", "actuator", "unavoidable %", *judges, "RMSE kW"]
     for scenario in ("oahu", UTILITY):
         for (scheme, actuator), group in ten_skies(scenario).groupby(
             ["scheme", "actuator"], sort=False
         ):
             means = group.mean(numeric_only=True)
-            for judge, prefix in JUDGES.items():
+            cells = [f"{means['unavoidable']:.3f}"]
+            for prefix in JUDGES.values():
                 names = [f"{prefix}{cause}" for cause in CAUSES]
-                if not group[names].isna().any(axis=None):
-                    cells = (f"{means[name]:.3f}" for name in ("unavoidable", *names))
-                    yield [scenario, scheme, actuator, judge, *cells, f"{means['rmse']:.1f}"]
+                is_judged = not group[names].isna().any(axis=None)
+                cells.append(
+                    " / ".join(f"{means[name]:.3f}" for name in names) if is_judged else "-"
+                )
+            yield [scenario, scheme, actuator, *cells, f"{means['rmse']:.1f}"]
 
 
 def utility_parts() -> Lines:
