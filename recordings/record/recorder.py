@@ -37,6 +37,8 @@ FLUSH_S: Final = 0.5
 _NAP_S: Final = 0.005
 _SHORT_NAP_S: Final = 0.0005
 """Beside devices, which are measured by when their messages arrive here."""
+_LONG_NAP_S: Final = 0.02
+"""In lockstep, which no clock measures: to wake costs as much as some messages."""
 _STATUS_S: Final = 0.25
 _LONGEST_WORK_S: Final = 0.1
 """Without a beat. A bundle may have hundreds of messages, so their number says little."""
@@ -100,8 +102,9 @@ class Recorder:
         self._link = link
         self._now_ns = now_ns
         self._sleep = sleep
-        is_exact = bool(plan.access.external) and not plan.timing.lockstep
-        self._nap_s = _SHORT_NAP_S if is_exact else _NAP_S
+        self._nap_s = _SHORT_NAP_S if plan.access.external else _NAP_S
+        if plan.timing.lockstep:
+            self._nap_s = _LONG_NAP_S
         self._closing = Closing(has_others=bool(plan.elsewhere))
         self._tokens = subscriber.watch_tokens() if plan.elsewhere else None
         wiring = plan.wiring
