@@ -60,19 +60,13 @@ def smallest_battery(
     power_kw = float(missing.max(initial=0.0))
     one_way, hours = sqrt(efficiency), cycle_s / 3600.0
     charged_kw = np.where(missing > 0.0, 0.0, np.clip(headroom, 0.0, power_kw))
-    out_kwh = (missing * hours / one_way).tolist()
-    in_kwh = (charged_kw * hours * one_way).tolist()
-    lacking_kwh = np.zeros(len(missing))  # At the beginning of each cycle.
-    cycle, capacity_kwh = 0, 0.0
-    for begin in np.flatnonzero(missing).tolist():
-        # A battery that is full stays so until something is missing: most of a day is passed over.
-        cycle, lacks_kwh = max(cycle, begin), 0.0
-        while cycle < len(out_kwh) and (lacks_kwh > 0.0 or out_kwh[cycle] > 0.0):
-            lacking_kwh[cycle] = lacks_kwh
-            lacks_kwh = max(0.0, lacks_kwh + out_kwh[cycle] - in_kwh[cycle])
-            capacity_kwh = max(capacity_kwh, lacks_kwh)
-            cycle += 1
-    power = missing - np.minimum(charged_kw, lacking_kwh / (hours * one_way))
+    changes_kwh = missing * hours / one_way - charged_kw * hours * one_way
+    lacks_kwh, lacking_kwh = 0.0, [0.0]
+    for change_kwh in changes_kwh.tolist():
+        lacks_kwh = max(0.0, lacks_kwh + change_kwh)
+        lacking_kwh.append(lacks_kwh)
+    capacity_kwh = max(lacking_kwh)
+    power = missing - np.minimum(charged_kw, np.array(lacking_kwh[:-1]) / (hours * one_way))
     discharged_kwh = float(missing.sum()) * hours / one_way
     return Battery(
         power_kw,

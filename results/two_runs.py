@@ -26,7 +26,7 @@ from results.tables import Table, json_rows
 
 _ARRAYS: Final = (
     *("commitment_kw", "regulation_kw", "dispatch_kw", "mpp_kw"),
-    *("impp_kw", "residual_kw", "alpha", "power_kw"),
+    *("residual_kw", "power_kw"),
 )
 """What a run has cycle by cycle; what no controller decides comes first."""
 

@@ -58,7 +58,7 @@ from sim_plant.irradiance import Irradiance
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
 from sim_plant.sites import Sites, east_north_m
-from sim_plant.sources import PowerSource
+from sim_plant.sources import MeasuredPlant, PowerSource
 
 __all__ = ["Preparation", "RunOptions", "prepare"]
 
@@ -561,16 +561,32 @@ def _deviations(
 
     Whichever part of the scenario is run, the plant keeps its clusters and neighbours.
     """
-    measured = source.measured_times
+    found: HourlyMatrices = {}
+    for past, power_kw in _past(scenario, own_times, source, times):
+        found |= hourly_deviations(power_kw, _local_hours(past, scenario.time.timezone))
+    return found
+
+
+def _past(
+    scenario: Scenario,
+    own_times: pd.DatetimeIndex,
+    source: PowerSource,
+    times: pd.DatetimeIndex,
+) -> Iterator[tuple[pd.DatetimeIndex, NDArray[np.float64]]]:
+    """Yield times of the past that have no hour in common, and the power of each inverter then."""
     if scenario.neighbours.history == "hindsight":
-        past = times if measured is None else measured
-        history_kw = source.available_kw(past)
+        past = times if source.measured_times is None else source.measured_times
+        yield past, source.available_kw(past)
+    elif isinstance(source, MeasuredPlant):
+        yield source.measured_times, source.earlier_day_kw(source.measured_times)
     else:
         step = pd.Timedelta(seconds=max(scenario.time.cycle_s, _FINEST_PAST_S))
-        whole_hours = _whole_hours(own_times, step).union(_whole_hours(times, step))
-        past = whole_hours if measured is None else measured
-        history_kw = source.earlier_day_kw(past)
-    return hourly_deviations(history_kw, _local_hours(past, scenario.time.timezone))
+        own, run = _whole_hours(own_times, step), _whole_hours(times, step)
+        if max(own[0] - run[-1], run[0] - own[-1]) < pd.Timedelta(hours=1):
+            own = own.union(run)
+        else:
+            yield run, source.earlier_day_kw(run)
+        yield own, source.kept_day_kw(own)  # Of every day of a study the same.
 
 
 def _whole_hours(times: pd.DatetimeIndex, step: pd.Timedelta) -> pd.DatetimeIndex:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import ClassVar, Final, TypeAlias
 
@@ -76,6 +76,10 @@ class CloudySky(PlantUnderSky):
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the power under another day's clouds of the same climate, shape (T, n)."""
         return self._drawn_kw(times, self.history_seed + _ANOTHER_DAY)
+
+    def kept_day_kw(self, times: pd.DatetimeIndex) -> Floats:
+        """Return the same, which is kept whatever becomes of the run's own sky."""
+        return replace(self, is_kept=True).earlier_day_kw(times)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""

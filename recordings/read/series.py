@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from math import inf, isnan, nan
 from operator import attrgetter
 from typing import Any, Final, Protocol
@@ -39,11 +39,12 @@ _OF_NODES: Final[dict[Signal[Any], str]] = {IMPP: "impp_kw", RESIDUAL: "residual
 _MOST_COLUMNS: Final = 100
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RunSeries:
     """T cycles of a plant of n inverters under one control scheme. All powers in kW.
 
-    A row stands for the cycle of its number. What no message says is NaN.
+    A row stands for the cycle of its number. What no message says is NaN. Arrays are never changed:
+    what follows from them is worked out once.
 
     label: What to call it in a table or a legend, for instance the control scheme.
     inverters: Paths of the n inverters in the control tree (`c2/inv07`); in a large plant those of
@@ -136,12 +137,12 @@ class RunSeries:
     def start_time_ns(self) -> int:
         return self.plan.timing.sim_time_ns(self.first_cycle)
 
-    @property
+    @cached_property
     def available_kw(self) -> NDArray[np.float64]:
         """True maximum power of the plant at its meter, shape (T,)."""
         return self.meters.available_kw(self.mpp_kw)
 
-    @property
+    @cached_property
     def delivered_kw(self) -> NDArray[np.float64]:
         """Power of the plant at its meter, shape (T,)."""
         return self.meters.fed_in_kw(self.power_kw, self.storage_power_kw) + self.unlisted_kw
@@ -156,19 +157,19 @@ class RunSeries:
     def meters(self) -> Meters:
         return Meters(self.plan, self.inverters)
 
-    @property
+    @cached_property
     def without_storage_kw(self) -> NDArray[np.float64]:
         """What the inverters alone gave the plant at its meter, shape (T,)."""
         if not self.storage_power_kw.size:
             return self.delivered_kw
         return self.meters.fed_in_kw(self.power_kw) + self.unlisted_kw
 
-    @property
+    @cached_property
     def shortfall_kw(self) -> NDArray[np.float64]:
         """Power that others had to give, max(0, desired - P), shape (T,)."""
         return np.maximum(self.desired_kw - self.delivered_kw, 0.0)
 
-    @property
+    @cached_property
     def without_help_kw(self) -> NDArray[np.float64]:
         """The baseline, shape (T,): the plant's power if each inverter were held to its share.
 
@@ -180,7 +181,7 @@ class RunSeries:
             return np.full(self.cycles, nan)
         return _without_help_kw(self.plan, self.mpp_kw, self.desired_kw)
 
-    @property
+    @cached_property
     def known(self) -> NDArray[np.bool_]:
         """Whether the recording has dispatch and production of each cycle, shape (T,)."""
         of_dispatch = self.dispatch_kw + self.commitment_kw + self.regulation_kw
@@ -393,11 +394,13 @@ class Listener(Protocol):
 def series_of(
     reader: RunReader, most_inverters: int | None = None, also: Sequence[Listener] = ()
 ) -> RunSeries:
-    """Read a recording; in a plant of more inverters, clusters stand for them."""
+    """Read what a report shows of a recording: NaN stands for IMPP and alpha.
+
+    In a plant of more inverters, clusters stand for them.
+    """
     clusters = columns_of(reader.plan, most_inverters)
-    signals = (IMPP, RESIDUAL) if clusters else (IMPP, RESIDUAL, COMMAND)
-    nodes = clusters or reader.plan.tree.leaves
-    return _read(reader, reader.ports(*signals, nodes=nodes), clusters, also)
+    ports = reader.ports(RESIDUAL, nodes=clusters or reader.plan.tree.leaves)
+    return _read(reader, ports, clusters, also)
 
 
 def plant_series_of(reader: RunReader, most_inverters: int | None = _MOST_COLUMNS) -> RunSeries:

@@ -120,8 +120,8 @@ def _powers_kw(
         case "grouping":
             yield from _grouping(plan, profile, actuator, groups)
         case "physical-limit":
-            available_kw = profile.mpp_kw.sum(axis=1)
-            gross = [gross_kw(kw, plan.grid_law) for kw in _dispatch_kw(plan, profile).tolist()]
+            available_kw, law = profile.mpp_kw.sum(axis=1), plan.grid_law
+            gross = [gross_kw(kw, law) for kw in _dispatch_kw(plan, profile).tolist()]
             wanted_kw = np.clip(gross, 0.0, available_kw)
             yield profile.mpp_kw * _share(wanted_kw, available_kw)[:, None]
 
