@@ -600,7 +600,7 @@ class Processes:
             process.begin_again()
             process.become("starting")
             if process.kind == "recorder" and not self.has_begun:  # Nothing is recorded yet.
-                self._folder.recording.unlink(missing_ok=True)
+                self._folder.remove_recording()
         self._hang_up(process)
         plan, logs, earlier = self._folder.plan, self._folder.logs, len(process.starts_s)
         self.ask(Start(str(plan), str(logs), process.name, earlier, again=self.has_begun))

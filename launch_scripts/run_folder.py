@@ -10,7 +10,7 @@ from pathlib import Path
 from agents.plan import RunPlan, changed
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.whole_file import named_in_errors, whole_file
-from recordings.read.run_file import FAILURE_NAME, RECORDING_NAME, SUMMARY_NAME
+from recordings.read.run_file import FAILURE_NAME, RECORDING_NAME, SUMMARY_NAME, further_files
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import ScenarioFile
 from sim_plant.profile import PROFILE_NAME
@@ -51,6 +51,10 @@ class RunFolder:
             (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
             self.write_plan(plan)
         return plan
+
+    def remove_recording(self) -> None:
+        for path in (self.recording, *(path for _, path in further_files(self.recording))):
+            path.unlink(missing_ok=True)
 
     def write_summary(self, document: bytes) -> None:
         if not self.path.is_dir():

@@ -6,7 +6,6 @@ and the newest events. All else is read from the file when somebody looks at it.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -23,7 +22,7 @@ from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER
 from live_page.run_events import Event, events_of
 from recordings.inspect.agent_states import AgentStates, Change
-from recordings.read.mcap_file import Chunk, walk_on
+from recordings.read.mcap_file import Chunk
 from recordings.read.reader import RunReader, stop_after
 from recordings.read.series import SeriesCollector, columns_of
 from results.figures import Figures, run_figures
@@ -61,7 +60,6 @@ class RunFollower:
         """Read on for a while; return whether all that is in the file has been read."""
         outline = self.run.outline
         if not outline.closed and self._next_chunk() is None:
-            walk_on(outline, self.run.files[-1])
             self.run.join()
         until = time.monotonic() + budget_s
         while (chunk := self._next_chunk()) is not None:
@@ -92,7 +90,7 @@ class RunFollower:
         if not self.cycles:
             return "waiting"
         longest_s = max(_STALLED_S, 3.0 * self.plan.timing.cycle_wall_ns / 1e9)
-        age_s = time.time() - os.fstat(self.run.files[-1].fileno()).st_mtime
+        age_s = time.time() - max((stat.st_mtime for stat in self.run.stats()), default=0.0)
         return "stalled" if age_s > longest_s else "running"
 
     @property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypeAlias
@@ -319,7 +318,7 @@ def overview_of(run: RunReader) -> Overview:
     document, _ = document_in(run.path.parent, run.plan.run_id)
     if document is not None and document.recording is not None:
         known_ns = run.path.with_name(SUMMARY_NAME).stat().st_mtime_ns
-        is_newest = known_ns >= max(os.fstat(file.fileno()).st_mtime_ns for file in run.files)
+        is_newest = known_ns >= max((stat.st_mtime_ns for stat in run.stats()), default=0)
         if is_newest and document.recording.files == len(run.files):  # None was deleted since.
             return replace(document.recording, path=str(run.path))
     return read_overview(run)

@@ -67,8 +67,9 @@ def inspect(
             output.write(_show_overview(reader, output))
         if not reader.whole:
             text = (
-                f"{reader.path} or one of the files that continue it was cut, is damaged, or is "
-                "still being recorded. `heliarch export --format mcap` makes a whole file of it."
+                f"{reader.path} or one of the files that continue it is missing, was cut, is "
+                "damaged, or is still being recorded. `heliarch export --format mcap` makes a "
+                "whole file of it."
             )
             output.console.print(Text(text, "yellow"))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from typing import TypeAlias
@@ -128,7 +127,7 @@ def read_through(
     gaps, wall_s = states.gaps, (last_ns - first_ns) / 1e9
     sent = {port.signal for port in gaps}
     spans = sorted(
-        _spans(states, end, run_cycles if run.whole else 0),
+        _spans(states, end, run_cycles if run.outline.closed else 0),
         key=lambda one: one.weight,
         reverse=True,
     )
@@ -193,7 +192,7 @@ def _count(
 
 def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     plan, origin = run.plan, overview.metadata["run"]
-    size_mb = sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6
+    size_mb = sum(stat.st_size for stat in run.stats()) / 1e6
     size = f"{size_mb:,.1f} MB, files: {len(run.files)}, chunks: {len(run.outline.chunks):,}"
     yield "recording", f"{overview.path} ({size})"
     timing = plan.timing

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 import warnings
 from bisect import bisect_left
@@ -10,7 +11,7 @@ from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from sys import maxsize
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, TypedDict, Unpack
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
@@ -35,6 +36,7 @@ from recordings.read.mcap_file import (
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import (
     RECORDING_NAME,
+    further_file,
     further_files,
     read_origin,
     recorded_ports,
@@ -107,12 +109,8 @@ class RunReader:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         if self.path.exists() and not self.path.is_file():  # A pipe would be waited for.
             raise InputError(f"{self.path}: expected a recording, got no regular file")
-        try:
-            self.files = [self.path.open("rb", buffering=0)]
-        except (FileNotFoundError, IsADirectoryError):  # The folder may have come just now.
-            raise InputError(
-                f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
-            ) from None
+        self.files = [self.path]
+        self._absent: dict[str, None] = {}
         self._newest_file = 1
         self.damage: set[Chunk] = set()
         self.wrong: dict[Port[Message], str] = {}
@@ -122,7 +120,13 @@ class RunReader:
         self._unpacked: tuple[Chunk | None, bytes] = None, b""
         self._in_memory: dict[Chunk, bytes] = {}
         try:
-            self.outline = read_outline(self.files[0])
+            self._opened = 0, self.path.open("rb", buffering=0)
+        except (FileNotFoundError, IsADirectoryError):  # The folder may have come just now.
+            raise InputError(
+                f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
+            ) from None
+        try:
+            self.outline = read_outline(self._file(0))
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
@@ -170,8 +174,8 @@ class RunReader:
 
     @property
     def whole(self) -> bool:
-        """Whether each file was closed in order."""
-        return self.outline.whole
+        """Whether each file is there and was closed in order."""
+        return self.outline.whole and not self.outline.goes_on and not self._absent
 
     def scenario_table(self) -> dict[str, Any]:
         try:
@@ -180,22 +184,50 @@ class RunReader:
             raise InputError(f"{self.path}: expected a scenario in TOML, got: {error}") from None
 
     def join(self) -> None:
-        """Add the further files: of later recorders, or after one that is full."""
+        """Read on in the newest file, and add those of later recorders, or after a full one.
+
+        A file that does not name the run yet has just begun, or its recorder was killed at once.
+        """
         for number, path in further_files(self.path):
             if number <= self._newest_file:
                 continue
-            walk_on(self.outline, self.files[-1])  # Nobody writes there any more.
-            file = path.open("rb", buffering=0)
-            outline = read_outline(file)
-            run_id = outline.metadata.get("run", {}).get("run_id")
-            # A file that is empty, or cut that early, is of a recorder that was killed at once.
-            is_next = outline.cut_early if run_id is None else run_id == self.plan.run_id
-            if not is_next:
-                file.close()
-                break
-            self.outline.append(outline, is_next=number == self._newest_file + 1)
-            self.files.append(file)
-            self._newest_file = number
+            with suppress(FileNotFoundError), path.open("rb", buffering=0) as file:
+                outline = read_outline(file, chunks=False)
+                if outline.metadata.get("run", {}).get("run_id") != self.plan.run_id:
+                    continue
+                self._walk_on()  # Nobody writes there any more.
+                walk_on(outline, file)
+                self._note_absent(range(self._newest_file + 1, number))
+                self.outline.append(outline, is_next=number == self._newest_file + 1)
+                self.files.append(path)
+                self._newest_file = number
+        self._walk_on()
+
+    def _walk_on(self) -> None:
+        if not self.outline.ended:
+            with suppress(FileNotFoundError):
+                walk_on(self.outline, self._file(self.outline.file))
+
+    def _note_absent(self, numbers: range) -> None:
+        if numbers:
+            names = [further_file(self.path, one).name for one in (numbers[0], numbers[-1])]
+            self._absent[" to ".join(dict.fromkeys(names))] = None
+
+    def _file(self, number: int) -> BinaryIO:
+        """Return one of the files. One is open at a time: a run of months has thousands."""
+        if self._opened[0] != number:
+            file = self.files[number].open("rb", buffering=0)
+            self._opened[1].close()
+            self._opened = number, file
+        return self._opened[1]
+
+    def stats(self) -> list[os.stat_result]:
+        """Return what the system says of those files that were not deleted meanwhile."""
+        found = []
+        for path in self.files:
+            with suppress(FileNotFoundError):
+                found.append(path.stat())
+        return found
 
     def messages(
         self,
@@ -339,7 +371,12 @@ class RunReader:
         if chunk in self._in_memory:
             return self._in_memory[chunk]
         if self._unpacked[0] != chunk:  # A search by cycles looks into a chunk before it is read.
-            self._unpacked = chunk, unpack_chunk(self.files[chunk.file], chunk)
+            try:
+                file = self._file(chunk.file)
+            except FileNotFoundError:  # Deleted since it was found.
+                self._absent[self.files[chunk.file].name] = None
+                raise DamagedChunkError("its file was deleted") from None
+            self._unpacked = chunk, unpack_chunk(file, chunk)
         return self._unpacked[1]
 
     def messages_of(self, chunk: Chunk, channels: Container[int]) -> Iterator[RawMessage]:
@@ -351,14 +388,20 @@ class RunReader:
             return iter(())
 
     def damage_text(self) -> str:
-        """Name the damaged chunks that were skipped and damaged attachments; empty: none."""
-        parts = []
+        """Name missing files, and damaged chunks and attachments that were left out, if any."""
+        parts, texts = [], []
         for chunk in sorted(self.damage):
-            of = f" of {Path(self.files[chunk.file].name).name}" if chunk.file else ""
+            if self.files[chunk.file].name in self._absent:
+                continue
+            of = f" of {self.files[chunk.file].name}" if chunk.file else ""
             parts.append(f"chunk at byte {chunk.offset:,}{of}")
         parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
-        what = f"a part of the file is damaged and left out ({listed(parts)})"
-        return f"{self.path}: {what}" if parts else ""
+        if self._absent:
+            names = listed([*self._absent])
+            texts.append(f"files are missing or hold nothing of this run ({names})")
+        if parts:
+            texts.append(f"a part of the file is damaged and left out ({listed(parts)})")
+        return f"{self.path}: {'; '.join(texts)}" if texts else ""
 
     def warn_of_damage(self) -> None:
         """Warn of damaged parts and wrong messages that were left out, once with each text."""
@@ -382,9 +425,8 @@ class RunReader:
             self.release()
 
     def release(self) -> None:
-        """Close the files without a word."""
-        for file in self.files:
-            file.close()
+        """Close the file without a word."""
+        self._opened[1].close()
 
     def _channels_of(self, ports: Collection[Port[Message]]) -> dict[int, Port[Message]]:
         return {number: port for number, port in self.channels.items() if port in ports}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import re
 from pathlib import Path
 from typing import Final
 
@@ -34,7 +35,8 @@ def further_files(recording: Path) -> list[tuple[int, Path]]:
     """Return the further files that are there, with their numbers, in order."""
     found = recording.parent.glob(f"{glob.escape(recording.stem)}-*{recording.suffix}")
     texts = (path.stem.removeprefix(f"{recording.stem}-") for path in found)
-    numbers = sorted(int(text) for text in texts if text.isascii() and text.isdigit())
+    # Another name, as run-02.mcap, is none that a recorder gives.
+    numbers = sorted(int(text) for text in texts if re.fullmatch("[1-9][0-9]*", text))
     return [(number, further_file(recording, number)) for number in numbers]
 
 

@@ -109,6 +109,8 @@ class RunWriter:
     def add(
         self, port: Port[Message], head: Head | Message, payload: bytes, logged_ns: int
     ) -> None:
+        if not self.heard:  # A recorder that was started again begins amid the run.
+            self._first_cycle = head.cycle
         self.heard += 1
         self._cycle = head.cycle
         if self.ended_early:

@@ -268,6 +268,18 @@ def test_agents_from_whom_nothing_comes_in_arming_rounds_are_named(watched: Make
     assert f"{NODE}, c2" in str(failure)
 
 
+def test_of_a_recorder_that_ends_before_cycle_0_no_file_is_left(
+    watched: Make, tmp_path: Path
+) -> None:
+    run = watched(begun=False)
+    for name in ("run.mcap", "run-2.mcap"):
+        (tmp_path / name).touch()
+    run.dies(RECORDER)
+    run.pass_by(2.0)
+    assert run.started == [RECORDER]
+    assert [*tmp_path.glob("*.mcap")] == []
+
+
 # Who is heard -------------------------------------------------------------------------------------
 
 

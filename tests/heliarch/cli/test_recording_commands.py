@@ -9,7 +9,9 @@ from typing import Any
 import pandas as pd
 import pytest
 from command_line import done, heliarch, refusal
-from recordings_by_hand import whole_run, write_messages, write_run
+from recordings_by_hand import PLAN, whole_run, write_messages, write_run
+
+from agents.plan import changed
 
 CYCLES = 90
 
@@ -52,6 +54,28 @@ def test_figures_come_as_json_too(run: Path) -> None:
     plant = json.loads(done("inspect", run, "--cycle", "3", "--json", "-"))
     named = " ".join(node["node"] for node in plant["nodes"])
     assert named == "central c1 c2 c1/a c1/b c2/c c2/d"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["inspect"], ["verify"], ["report", "--report", "page.html"], ["replay"]),
+        ["inspect", "--nodes", "c1/a", "--from", "c5", "--to", "c80"],
+        ["export", "--format", "csv", "--out", "tables"],
+        ["export", "--format", "mcap", "--out", "whole.mcap"],
+    ],
+)
+def test_every_command_names_the_files_of_a_run_that_were_deleted(
+    tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    split = changed(PLAN, supervision={"file_cycles": 20})
+    write_messages(tmp_path / "run.mcap", whole_run(CYCLES), plan=split, messages_per_chunk=30)
+    for number in (2, 3):
+        (tmp_path / f"run-{number}.mcap").unlink()
+    result = heliarch(words[0], tmp_path, *words[1:])
+    (line,) = result.stderr.splitlines()
+    assert line.endswith("(run-2.mcap to run-3.mcap)"), result.output
 
 
 @pytest.mark.parametrize(

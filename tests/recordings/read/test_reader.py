@@ -162,6 +162,7 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
     (tmp_path / "run-2.mcap").touch()
     write_run(tmp_path / "run-3.mcap", whole_run(10), is_kept=lambda pair: pair[1].cycle >= 7)
     with RunReader(tmp_path) as run:
+        assert run.damage_text().endswith("hold nothing of this run (run-2.mcap)")
         cycles = [message.cycle for _, message in run.messages(PRODUCTION)]
         assert cycles == [*range(5), *range(7, 10)]
         assert not run.whole

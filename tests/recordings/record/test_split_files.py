@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
+from resource import RLIMIT_NOFILE, getrlimit, setrlimit
 
 import pytest
 from recorded_runs import cloudy_profile, plan_of, published, record
@@ -17,6 +19,7 @@ from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import RECORDER
 from live_page.follower import RunFollower
 from recordings.inspect.overview import read_through
+from recordings.read.gaps import unrecorded_spans
 from recordings.read.reader import RunReader
 from recordings.read.run_file import next_path
 from recordings.record.writer import RunWriter
@@ -64,12 +67,72 @@ def test_a_file_that_was_deleted_is_a_gap_and_no_number_comes_again(tmp_path: Pa
     assert next_path(path) == following
     with RunReader(tmp_path) as run:
         found, _ = read_through(run)
+        assert not run.whole
+        assert run.damage_text().endswith("(run-3.mcap)")
     (gap,) = (one for one in found.states if one.agent == RECORDER)
     assert (
         {*gone[1:-1]} <= {*range(gap.first_cycle, gap.end)} <= {*range(gone[0] - 1, gone[-1] + 2)}
     )
     assert found.complete_cycles == CYCLES - len(gone)
     assert not verify(tmp_path).differs
+
+
+def test_a_run_of_more_files_than_a_process_may_open_is_read(tmp_path: Path) -> None:
+    each_cycle = changed(PLAN, supervision={"file_cycles": 1})
+    step = len(SAID) // CYCLES
+    write_messages(tmp_path / "run.mcap", SAID, plan=each_cycle, messages_per_chunk=step)
+    limits = getrlimit(RLIMIT_NOFILE)
+    with Path(os.devnull).open() as newest:
+        setrlimit(RLIMIT_NOFILE, (newest.fileno() + 10, limits[1]))
+        try:
+            with RunReader(tmp_path) as run:
+                assert len(run.files) > 30
+                assert len([*run.messages()]) == sum(port.signal.logged for port, _ in SAID)
+        finally:
+            setrlimit(RLIMIT_NOFILE, limits)
+
+
+def test_files_that_are_deleted_while_they_are_read_are_named_once(tmp_path: Path) -> None:
+    written(tmp_path)
+    with RunReader(tmp_path) as run:
+        for path in run.files[1:3]:
+            path.unlink()
+        cycles = {message.cycle for _, message in run.messages(PRODUCTION)}
+        assert run.damage_text().endswith(" of this run (run-2.mcap, run-3.mcap)")
+    assert {0, CYCLES - 1} <= cycles < {*range(CYCLES)}
+
+
+def test_a_recorder_that_is_started_again_fills_its_first_file(tmp_path: Path) -> None:
+    said = [(port, message) for port, message in SAID if 20 <= message.cycle < 40]
+    step = len(SAID) // CYCLES
+    path = tmp_path / "run-2.mcap"
+    write_messages(path, said, plan=PLAN, messages_per_chunk=step)
+    with RunReader(path) as first:
+        assert first.last_cycle >= 29
+
+
+def test_a_file_that_has_just_begun_is_no_gap(tmp_path: Path) -> None:
+    newest = next_path(written(tmp_path)).with_name("run-4.mcap")
+    for later in tmp_path.glob("run-[5-9].mcap"):
+        later.unlink()
+    content = newest.read_bytes()
+    newest.write_bytes(content[:2000])  # Its plan is not there yet.
+    with RunReader(tmp_path) as run:
+        assert len(run.files) == 3
+        newest.write_bytes(content)
+        run.join()
+        assert len(run.files) == 4
+        assert [*unrecorded_spans(run)] == []
+
+
+@pytest.mark.parametrize("name", ["run-02.mcap", "run-1.mcap", "run-x.mcap", "run-٢.mcap"])
+def test_a_file_of_another_name_is_no_part_of_the_run(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path)
+    following = next_path(path)
+    shutil.copy(path, tmp_path / name)
+    assert next_path(path) == following
+    with RunReader(path) as run:
+        assert len([*run.messages(PRODUCTION)]) == CYCLES
 
 
 def test_a_run_is_followed_from_file_to_file(tmp_path: Path) -> None:
