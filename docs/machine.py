@@ -85,6 +85,10 @@ COMMANDS: Final[dict[str, Callable[[Done], Found] | None]] = {
     "heliarch inspect RUN --nodes c1/inv01": partial(used, "inspect node"),
     "heliarch export RUN --format json-mcap": partial(used, "json-mcap"),
     "heliarch export RUN --format parquet": partial(used, "parquet"),
+    "heliarch simulate oahu-day --out RUN/day": None,
+    "heliarch report RUN/day": partial(used, "report day"),
+    "heliarch compare oahu-day --days 2010-06-01..2010-06-24 --workers 2 --schemes "
+    "uncontrolled,uniform-cap,paper,predictive,physical-limit": partial(used, "study"),
     "python benchmarks/cycle_rate.py": benchmark,
     ".venv-peers/bin/python benchmarks/peers.py": benchmark,
 }
@@ -95,7 +99,7 @@ def run(command: str, folder: Path) -> Done:
     program, script, *words = command.replace("RUN", str(folder / "RUN")).split()
     found = folder / "found.json"
     found.unlink(missing_ok=True)
-    if program == "heliarch":
+    if program == "heliarch" and script != "report":
         words += ["--json", str(found)]
     else:
         script = str(REPOSITORY / script)

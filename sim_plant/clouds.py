@@ -290,11 +290,16 @@ def _read(layer: _Layer, x_m: Floats, y_m: Floats, piece: Floats) -> NDArray[np.
     cells = len(layer.field)
     offset = (piece[:, None] * _NEXT_PIECE % 1.0) * cells
     # Modulo here, since single cells are lost in the rounding of coordinates of 1e9 cells.
-    rows = (y_m / layer.cell_m + offset[:, :1]) % cells
-    columns = (x_m / layer.cell_m + offset[:, 1:]) % cells
+    rows = _wrapped(y_m / layer.cell_m + offset[:, :1], cells)
+    columns = _wrapped(x_m / layer.cell_m + offset[:, 1:], cells)
     return np.asarray(
         scipy.ndimage.map_coordinates(layer.field, [rows, columns], order=1, mode="grid-wrap")
     )
+
+
+def _wrapped(at: Floats, cells: int) -> Floats:
+    """Return `at % cells` of a power of two, to the last bit, in half the time."""
+    return np.asarray(at - np.floor(at / cells) * cells)
 
 
 def _in_the_drifting_field(
