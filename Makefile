@@ -104,7 +104,7 @@ bench-study: $(READY) ## a whole day through the agents and over arrays
 campaign: $(READY) ## random faults on ten small plants, judged cycle by cycle: SEEDS=1..1000; two minutes of processor time for 100
 	PYTHONPATH=$(CURDIR):$(CURDIR)/tests $(BIN)/python tests/campaign/campaign.py $(or $(SEEDS),1..100)
 
-soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s; the recorder killed 20 times; planted bugs; other random examples
+soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s; two days (DAYS_CYCLES) of 10 s cycles in files of an hour; the recorder killed 20 times; planted bugs; other random examples
 	$(BIN)/pytest -m soak
 	$(BIN)/pytest --hypothesis-profile others tests/agents tests/bus_schemas tests/recordings tests/studies
 

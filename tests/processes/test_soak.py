@@ -10,6 +10,10 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from statistics import median
 from typing import NamedTuple, TextIO
 
 import msgspec
@@ -23,6 +27,7 @@ from agents.plan_file import load_plan
 from bus_schemas.tree import PLANT, RECORDER
 from recordings.inspect.overview import read_through
 from recordings.read.reader import RunReader
+from recordings.read.run_file import RECORDING_NAME, further_files
 from recordings.verify.verification import verify
 
 pytestmark = [pytest.mark.processes, pytest.mark.soak]
@@ -34,6 +39,14 @@ LONGEST_CUT_S = 4.0
 SETTLED_MB = 15.0
 """What plant and recorder come to once each of their buffers has been in use: in the first minutes
 a recorder grows from 10 to 14.5 MB, and then no more."""
+
+
+DAYS_CYCLES = int(os.environ.get("DAYS_CYCLES", "17280"))
+"""Of 10 s: two days."""
+FILES = 48
+KEPT_FILES = 6
+SAMPLES = 16 * min(25, DAYS_CYCLES // 80)
+MOST_GROWTH = 0.05
 
 
 class Use(NamedTuple):
@@ -135,6 +148,98 @@ def attack(
             network.heal()
         faults.flush()
     return kills, uses
+
+
+@pytest.mark.timeout(DAYS_CYCLES + 900)
+def test_two_days_of_kills_and_deleted_files_grow_no_process_and_the_rest_is_verified(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    seed = random.randrange(2**32)
+    folder = REPOSITORY / "build" / f"days-{seed}"  # It stays if the test fails.
+    folder.mkdir(parents=True)
+    split = "--split", f"{DAYS_CYCLES * 10 // FILES}s"
+    restart = "--set", "restart.when=always", "--set", "restart.frozen_s=60"
+    with commands_in(folder) as start:
+        run = start("launch", "thousand", "--duration", f"c{DAYS_CYCLES}", *split, *restart)
+        kills, lives = live_long(run, random.Random(seed), folder / "uses.csv")
+        assert run.process.wait(timeout=900) == 1, "messages were lost"
+    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
+    found = verify(run.folder)
+    long_lives = {life: uses for life, uses in lives.items() if len(uses) >= max(SAMPLES // 10, 20)}
+    grown = {life: growth(uses) for life, uses in long_lives.items()}
+    with capsys.disabled():
+        print(f"\n{folder}: {kills.total()} kills, {found.total('compared'):,} of {found.asked:,}")
+        for life, share in grown.items():
+            print(*life, long_lives[life][len(long_lives[life]) // 10], lives[life][-1], share)
+    members = load_plan(run.folder / "plan.json").wiring.members
+    restarts = Counter[str]()
+    for name, count in kills.items():
+        restarts.update(dict.fromkeys(members.get(name, (name,)), count))
+    assert summary["restarts"] == restarts
+    assert (summary["given_up"], summary["cycles"]) == ({}, DAYS_CYCLES)
+    assert {"launcher", "fork server", PLANT, RECORDER} <= {name for name, _ in grown}
+    for life, uses in long_lives.items():
+        tenth = len(uses) // 10
+        early, late = uses[tenth : 2 * tenth], uses[-tenth:]
+        assert min(use.files for use in late) <= max(use.files for use in early), life
+    assert {life: share for life, share in grown.items() if share > MOST_GROWTH} == {}
+    assert_equal_as_far_as_recorded(run, found)
+    assert found.total("compared") > 0
+    shutil.rmtree(folder)
+
+
+def live_long(
+    run: Heliarch, drawn: random.Random, series: Path
+) -> tuple[Counter[str], dict[tuple[str, int], list[Use]]]:
+    """Kill a process of the run at each fourth sample, and delete all but its newest files.
+
+    Returns how often each was killed, and what each process, by name and number, took.
+    """
+    run.until_running()
+    names = load_plan(run.folder / "plan.json").processes
+    victims = [name for name in names if name not in {PLANT, RECORDER}]
+    kills = Counter[str]()
+    lives: dict[tuple[str, int], list[Use]] = {}
+    running = {"launcher": psutil.Process(run.process.pid), "fork server": run.fork_server()}
+    running |= {name: run.process_of(name) for name in names}
+    with series.open("w", buffering=1) as file:
+        for sample in range(SAMPLES * 15 // 16):  # Its output is 2 s behind.
+            cycle = DAYS_CYCLES * sample // SAMPLES
+            until_cycle(run, cycle)
+            for name, process in running.items():
+                with suppress(psutil.Error):  # It was killed, and may not have begun again.
+                    use = use_of(process)
+                    lives.setdefault((name, process.pid), []).append(use)
+                    said = f"{use.files},{use.threads},{use.own_mb}"
+                    file.write(f"{cycle},{name},{process.pid},{said}\n")
+            if sample % 4 == 0 < sample:
+                # Three recorders, so that some of them live long.
+                victim = drawn.choice(victims) if sample * 4 % SAMPLES else RECORDER
+                killed = running[victim]
+                killed.send_signal(signal.SIGKILL)
+                kills[victim] += 1
+                file.write(f"{cycle},{victim},{killed.pid},killed\n")
+                run.until(partial(find_new, run, victim, running), f"a new {victim}")
+            for _, path in further_files(run.folder / RECORDING_NAME)[:-KEPT_FILES]:
+                path.unlink()
+    return kills, lives
+
+
+def find_new(run: Heliarch, name: str, running: dict[str, psutil.Process]) -> bool:
+    """Note the new process of a name, once it is there and alone in writing its log."""
+    killed = running[name]
+    with suppress(ValueError):
+        running[name] = run.process_of(name)
+    return bool(running[name] != killed)
+
+
+def growth(uses: list[Use]) -> float:
+    """The share by which a process has grown since the first tenth of its life."""
+    tenth = len(uses) // 10
+    early, late = (
+        median(use.own_mb for use in part) for part in (uses[tenth : 2 * tenth], uses[-tenth:])
+    )
+    return late / early - 1.0
 
 
 @pytest.mark.timeout(1800)
