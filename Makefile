@@ -92,7 +92,7 @@ results: $(READY) ## every measured table of the documents; DATA=FOLDER for thos
 terms: $(READY) ## what each term of the control law gains; DATA=FOLDER holds the measurements
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/terms.py $(abspath $(DATA))
 
-figures: $(READY) $(PEERS_READY) ## every figure of the documents that depends on the machine: a quarter of an hour on a quiet one
+figures: $(READY) $(PEERS_READY) ## every figure of the documents that depends on the machine: half an hour on a quiet one
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/machine.py
 
 pictures: $(READY) ## the pictures of README that are drawn from runs

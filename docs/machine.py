@@ -1,4 +1,4 @@
-"""Takes the figures that depend on the machine: `make figures`, a quarter of an hour.
+"""Takes the figures that depend on the machine: `make figures`, half an hour.
 
 Run it on a quiet machine. Each figure is a row of `docs/tables/figures.csv`, with its unit, the
 command that gave it and the date; pages show it by its name (see `shown.py`). A figure that this
@@ -54,6 +54,9 @@ def launched(name: str, done: Done) -> Found:
     yield f"{name} start", f"{done.said['startup_s']:.1f}", "s"
     yield f"{name} messages", str(sum(each["recorded"] for each in done.said["messages"])), ""
     yield f"{name} lost", str(done.said["messages_lost"]), ""
+    yield f"{name} missed", str(done.said["missing_inputs"]), ""
+    busy_s = sum(each["cpu_s"] for each in done.said["processes"])
+    yield f"{name} processor", f"{1e3 * busy_s / done.said['cycles']:.0f}", "ms a cycle"
     for kind in ("plant", "recorder"):
         (memory,) = (each["resident_mb"] for each in done.said["processes"] if each["kind"] == kind)
         yield f"{name} {kind}", f"{memory:.0f}", "MB"
@@ -80,6 +83,9 @@ COMMANDS: Final[dict[str, Callable[[Done], Found] | None]] = {
     "heliarch timing oahu --rate 80..320 --duration 10s --priority 20": fastest,
     "heliarch launch thousand --duration 10m": partial(launched, "thousand"),
     "heliarch launch ten-thousand --duration 10m": partial(launched, "ten-thousand"),
+    "heliarch launch ten-thousand --pace 10 --priority 20 --duration 100m": partial(
+        launched, "ten-thousand real time"
+    ),
     "heliarch simulate oahu-day --duration 5h --out RUN": None,
     "heliarch inspect RUN": partial(used, "inspect"),
     "heliarch inspect RUN --nodes c1/inv01": partial(used, "inspect node"),
