@@ -71,7 +71,7 @@ def benchmark(done: Done) -> Found:
     """Yield the median rate of each way that a benchmark prints in a line."""
     for line in done.said.splitlines():
         way, _, rest = line.strip().partition("  ")
-        if way.split(" ")[0] in {"launch", "bare", "Heliarch", "mosaik"}:
+        if rest and way.split(" ")[0] in {"launch", "bare", "Heliarch", "mosaik"}:
             yield f"{way.split(' ')[0]} rate", rest.split()[0], "cycles/s"
 
 
