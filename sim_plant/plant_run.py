@@ -103,11 +103,11 @@ def _round_closes(process: AgentProcess, cycle: int, quiet_s: float) -> bool:
     is_recorded, until = False, time.monotonic() + quiet_s
     while time.monotonic() < until:
         arrivals = process.driver.wait_and_act(longest_ns=round(until * 1e9))
-        if arrivals:
+        # Who publishes on its own must not keep a round open in which others are silent.
+        of_round = [one for one in arrivals if one.message.cycle == cycle]
+        if of_round:
             until = time.monotonic() + quiet_s
-        for arrival in arrivals:
-            if arrival.port is READY.of(ROOT) and arrival.message.cycle == cycle:
-                is_recorded = True
+        is_recorded = is_recorded or any(one.port is READY.of(ROOT) for one in of_round)
         process.beat()
         if is_recorded and not process.loop.stage:
             return True

@@ -38,11 +38,11 @@ that was cut off is heard 5 s after its link has healed. Among 1,000 inverters a
 processor, and plant and recorder open 1,000 links one after the other. In lockstep a link that
 closes loses messages that others wait for: both times are 60 s."""
 
-_WAIT_S = 0.02
+_WAIT_S = (0.02, 0.5)
 _WAIT_SHARE = 0.1
-"""In real time: how long a message may wait for room in the queue of a link, at least, and as a
-share of the cycle. 1,000 inverters of a group get theirs at once, while other groups take the
-processors: with 20 ms, `ten-thousand` lost telemetry at one cycle a second."""
+"""In real time: how long a message may wait for room in the queue of a link, at least and at most,
+and as a share of the cycle. 1,000 inverters of a group get theirs at once, while other groups take
+the processors: with 20 ms, `ten-thousand` lost telemetry at one cycle a second."""
 
 _LONGEST_COMMON_NAME = 64
 """Characters, by RFC 5280."""
@@ -111,7 +111,8 @@ def _settings(
     largest_bytes = _LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters)
     further = {"transport/link/rx/max_message_size": largest_bytes, **(further or {})}
     lease_s, open_s = link_times(plan)
-    wait_s = max(_WAIT_S, _WAIT_SHARE * plan.timing.cycle_wall_ns / 1e9)
+    shortest_s, longest_s = _WAIT_S
+    wait_s = min(max(shortest_s, _WAIT_SHARE * plan.timing.cycle_wall_ns / 1e9), longest_s)
     if plan.access.external:  # zenoh-pico closes a link that is idle for 10 s.
         further["transport/link/tx/keep_alive"] = max(4, round(lease_s / 5.0))
     if agent == RECORDER:
