@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
-from resource import RLIMIT_NOFILE, getrlimit, setrlimit
 
 import pytest
+from command_line import python
 from recorded_runs import cloudy_profile, plan_of, published, record
 from recordings_by_hand import write_messages
 
@@ -81,15 +80,21 @@ def test_a_run_of_more_files_than_a_process_may_open_is_read(tmp_path: Path) -> 
     each_cycle = changed(PLAN, supervision={"file_cycles": 1})
     step = len(SAID) // CYCLES
     write_messages(tmp_path / "run.mcap", SAID, plan=each_cycle, messages_per_chunk=step)
-    limits = getrlimit(RLIMIT_NOFILE)
-    with Path(os.devnull).open() as newest:
-        setrlimit(RLIMIT_NOFILE, (newest.fileno() + 10, limits[1]))
-        try:
-            with RunReader(tmp_path) as run:
-                assert len(run.files) > 30
-                assert len([*run.messages()]) == sum(port.signal.logged for port, _ in SAID)
-        finally:
-            setrlimit(RLIMIT_NOFILE, limits)
+    found = python(
+        """
+import sys
+from pathlib import Path
+from resource import RLIMIT_NOFILE, setrlimit
+from recordings.read.reader import RunReader
+setrlimit(RLIMIT_NOFILE, (30, 30))
+with RunReader(Path(sys.argv[1])) as run:
+    print(len(run.files), sum(1 for _ in run.messages()))
+""",
+        tmp_path / "run.mcap",
+    )
+    files, messages = map(int, found.stdout.split())
+    assert files > 30
+    assert messages == sum(port.signal.logged for port, _ in SAID)
 
 
 def test_files_that_are_deleted_while_they_are_read_are_named_once(tmp_path: Path) -> None:
