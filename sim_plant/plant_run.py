@@ -25,7 +25,7 @@ FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
 
 _QUIET_PER_AGENT_S: Final = 0.001
-"""How much longer nothing may come of an arming round, for each agent."""
+"""How much longer the plant waits for an arming round, for each agent."""
 
 _ARMING_S: Final = 30.0
 """How long the arming rounds may take, once all agents are there."""
@@ -34,11 +34,11 @@ _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 the plant announces when it begins."""
 
 
-def longest_quiet_s(number: int) -> float:
-    """Return for how long nothing may come of an arming round, counted from 1 [s].
+def patience_s(number: int) -> float:
+    """Return how long to wait for an arming round, counted from 1, before the next one [s].
 
-    Then the next one is tried, soon: most rounds fail because a link is not up yet. Later rounds
-    have more time, for slow machines.
+    Most rounds fail because a link is not up yet, so the next one is tried soon. Later rounds have
+    more time, for slow machines. The plant waits as long again whenever something of it comes.
     """
     return min(0.3 * float(1.25 ** min(number - 1, 20)), 3.0)
 
@@ -89,7 +89,7 @@ def _arm(process: AgentProcess, give_up_at: float) -> None:
     for number in range(1, -FIRST_ROUND):
         loop.enter(FIRST_ROUND + number, time.monotonic_ns())
         process.driver.advance(loop)
-        quiet_s = longest_quiet_s(number) + _QUIET_PER_AGENT_S * len(plan.tree.nodes)
+        quiet_s = patience_s(number) + _QUIET_PER_AGENT_S * len(plan.tree.nodes)
         if _round_closes(process, FIRST_ROUND + number, quiet_s):
             return
         if time.monotonic() > give_up_at:

@@ -34,7 +34,7 @@ from bus_schemas.tree import REPLAYER, ROOT, agent_name
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus, ReplayOptions, StatusLine, say
-from sim_plant.plant_run import FIRST_ROUND, longest_quiet_s
+from sim_plant.plant_run import FIRST_ROUND, patience_s
 
 _EARLY_CYCLES: Final = 100
 """Every agent publishes within this many first cycles, even if messages are lost."""
@@ -90,7 +90,7 @@ class ReplayBeside(ReplayBus):
             for port, message in first.items():
                 stamped = replace(message, cycle=cycle, sim_time_ns=sim_time_ns, missing=())
                 super().put(port, encode(stamped))
-            if self._await_cycle(cycle, longest_quiet_s(number)) or self._interruption:
+            if self._await_cycle(cycle, patience_s(number)) or self._interruption:
                 return
 
     def put(self, port: Port[Message], payload: bytes) -> bool:
